@@ -1,0 +1,126 @@
+"""Which edges of the keypoint grid are severed, from how much longer they became (paper, Sec. Tissue Connectivity Estimation)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.codes import Code
+from hardware.interface import Array
+from skills.estimate.graph import ConnectivityGraph, EdgeState
+from skills.estimate.grid import Grid, lengths
+from skills.tracking.tracks import Tracks
+
+
+@dataclass(frozen=True)
+class ElongationConfig:
+    """The rule's threshold, and when a measurement counts."""
+
+    tau: float = 1.5  # ratio rho from which an edge is severed
+    min_confidence: float = 0.2  # of both ends' tracks
+    max_unknown: float = 0.25  # share of the edges across the goal
+    steepness: float = 8.0  # of the probability around tau, per unit of log rho
+    min_opening: float = 0.15  # share of a severed edge that must show an opening, where that was looked at
+
+    def __post_init__(self) -> None:
+        if not self.tau > 1:
+            raise ValueError(f"tau must be above 1, not {self.tau}")
+
+
+def estimate_connectivity(
+    grid: Grid,
+    reference: Array,
+    tracks: Tracks,
+    config: ElongationConfig | None = None,
+    opening: Array | None = None,
+) -> ConnectivityGraph:
+    """Judge each edge by rho = |k_i(te) - k_j(te)| / |k_i(td) - k_j(td)|; severed if rho >= tau.
+
+    Args:
+        grid: the grid made at t_d.
+        reference: (N, 2) pixels of the keypoints at t_d.
+        tracks: the same keypoints at t_e. Hidden, lost or doubtful ends make an edge unknown, never severed.
+        config: threshold and what counts.
+        opening: (E,) share of each edge that shows no tissue at t_e (`opening_along`), or None. With it, an edge that became
+            long but still shows tissue all along is a stretched attachment: connected.
+    """
+    config = config or ElongationConfig()
+    before, after = lengths(reference, grid.edges), lengths(tracks.points, grid.edges)
+    trusted = tracks.visible & (tracks.confidence >= config.min_confidence) & np.isfinite(tracks.points).all(axis=1)
+    known = trusted[grid.edges].all(axis=1) & (before > 1e-6) & np.isfinite(after)
+    rho = np.where(known, after / np.where(known, before, 1.0), np.nan)
+    ratio = np.where(known, rho, config.tau)
+    severed = known & (ratio >= config.tau)
+    # Smooth and monotone in rho, one half at tau and for what is unknown.
+    logit = config.steepness * np.log(np.maximum(ratio, 1e-6) / config.tau)
+    if opening is not None:
+        bridged = severed & grid.crosses_goal & ~(opening >= config.min_opening)
+        severed &= ~bridged
+        logit = np.where(bridged, -np.abs(logit), logit)
+    probability = 1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0)))
+    state = np.where(severed, EdgeState.SEVERED, np.where(known, EdgeState.CONNECTED, EdgeState.UNKNOWN)).astype(np.int64)
+    code, message = _verdict(state[grid.crosses_goal], config)
+    return ConnectivityGraph(
+        code=code,
+        message=message,
+        reference=np.array(reference),
+        points=tracks.points.copy(),
+        edges=grid.edges,
+        elongation=rho,
+        state=state,
+        probability=np.where(known, probability, 0.5),
+        crosses_goal=grid.crosses_goal,
+        station=grid.station,
+    )
+
+
+def opening_along(points: Array, edges: NDArray[np.int64], tissue: NDArray[np.bool_], samples: int = 15) -> Array:
+    """Share (E,) of each edge between `points` (N, 2) pixels on which the `tissue` mask (H, W) shows none."""
+    t = (np.arange(samples) + 0.5) / samples
+    a, b = points[edges[:, 0]], points[edges[:, 1]]
+    at = np.nan_to_num(a[:, None] + t[None, :, None] * (b - a)[:, None])
+    u = np.clip(np.rint(at[..., 0]), 0, tissue.shape[1] - 1).astype(np.int64)
+    v = np.clip(np.rint(at[..., 1]), 0, tissue.shape[0] - 1).astype(np.int64)
+    return np.asarray(1.0 - tissue[v, u].mean(axis=1))
+
+
+def attachments(graph: ConnectivityGraph) -> list[tuple[float, float]]:
+    """Stretches (start, end) of the goal, 0..1, over which tissue still bridges it: runs of connected edges that cross the goal.
+
+    Each reaches half an edge's spacing to either side. An unknown edge between connected ones belongs to their run; unknown edges
+    alone are no attachment, though they keep the goal from being complete.
+    """
+    crossing = np.flatnonzero(graph.crosses_goal)
+    if not len(crossing):
+        return []
+    order = crossing[np.argsort(graph.station[crossing], kind="stable")]
+    station, state = graph.station[order], graph.state[order]
+    half = float(np.median(np.diff(station))) / 2 if len(station) > 1 else 0.0
+    severed = state == EdgeState.SEVERED
+    run_of = np.cumsum(severed)
+    runs = []
+    for run in np.unique(run_of[~severed]):
+        connected = station[(run_of == run) & (state == EdgeState.CONNECTED)]
+        if len(connected):
+            runs.append((float(max(connected[0] - half, 0.0)), float(min(connected[-1] + half, 1.0))))
+    return runs
+
+
+def _verdict(crossing: NDArray[np.int64], config: ElongationConfig) -> tuple[Code, str]:
+    """Code and sentence for the states of the edges that cross the goal."""
+    total = len(crossing)
+    connected, unknown = int((crossing == EdgeState.CONNECTED).sum()), int((crossing == EdgeState.UNKNOWN).sum())
+    if not total:
+        return Code.TOO_MANY_UNKNOWN, "No edge of the grid crosses the goal, so nothing can be said about it."
+    if unknown > config.max_unknown * total:
+        return (
+            Code.TOO_MANY_UNKNOWN,
+            f"{unknown} of {total} edges across the goal could not be seen well enough; "
+            f"at most {config.max_unknown:.0%} may be unknown.",
+        )
+    if not connected and not unknown:
+        return Code.OK, f"All {total} edges across the goal are severed."
+    rest = f", {unknown} unknown" if unknown else ""
+    return Code.OK, f"{connected} of {total} edges across the goal are still connected{rest}."

@@ -1,0 +1,98 @@
+"""The keypoint grid around the tracked goal and its edges (paper, Sec. Tissue Connectivity Estimation).
+
+Stations run along the goal, rows across it; no row lies on the goal line, where the cut leaves no tissue to follow. Rows are laid
+out from the two lips of the cut, so that an opening that is already there when the grid is made holds no keypoints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.interface import Array
+from skills.scene.polyline import arc_lengths, left_normals
+from skills.tracking.tracks import TrackedGoal
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """Spacing of the grid. All in pixels."""
+
+    station_spacing: float = 8.0  # along the goal
+    row_spacing: float = 14.0  # across it; rows at +-0.5, 1.5, 2.5 ... of this from the (closed) goal line
+    rows_per_side: int = 3
+    end_inset: float = 12.0  # of the first and last station from the goal's ends, where a complete cut opens little
+
+    def __post_init__(self) -> None:
+        if not (self.station_spacing > 0 and self.row_spacing > 0 and self.rows_per_side >= 1 and self.end_inset >= 0):
+            raise ValueError("grid spacings must be positive, with at least one row per side and no negative inset")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Keypoints and their edges at t_d.
+
+    `points` (N, 2) pixels; `edges` (E, 2) indices; `crosses_goal` (E,) bool; `station` (E,) 0..1 along the goal of edges that
+    cross it, nan elsewhere; `near_side` (N,) bool, True on the grasp's side. `spacing` is the distance between stations, 0..1.
+    """
+
+    points: Array
+    edges: NDArray[np.int64]
+    crosses_goal: NDArray[np.bool_]
+    station: Array
+    near_side: NDArray[np.bool_]
+    spacing: float
+
+
+def grid_around(tracked: TrackedGoal, row_offset: float, config: GridConfig | None = None) -> Grid:
+    """Lay the grid around `tracked`, whose near and far rows follow tissue `row_offset` [px] away from the goal line."""
+    config = config or GridConfig()
+    stations, spacing = _stations(tracked.polyline, config)
+    offsets = (np.arange(config.rows_per_side) + 0.5) * config.row_spacing - row_offset
+    count, rows = len(stations), 2 * config.rows_per_side
+    # One field of normals for both sides: the mid-line is smoother than either lip.
+    normals = left_normals(tracked.polyline)
+    to_near = normals if ((tracked.near - tracked.far) * normals).sum() >= 0 else -normals
+    outward = _at_stations(to_near, stations)
+    outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    blocks = [
+        _at_stations(row, stations)[None] + sign * offsets[:, None, None] * outward[None]
+        for row, sign in ((tracked.near, 1.0), (tracked.far, -1.0))
+    ]
+    # Rows in order across the goal: outermost near ... innermost near | innermost far ... outermost far.
+    points = np.concatenate([blocks[0][::-1], blocks[1]]).reshape(-1, 2)
+    index = np.arange(rows * count).reshape(rows, count)
+    along = np.column_stack([index[:, :-1].ravel(), index[:, 1:].ravel()])
+    across = np.column_stack([index[:-1].ravel(), index[1:].ravel()])
+    row_of, column_of = np.divmod(across[:, 0], count)
+    crosses = np.concatenate([np.zeros(len(along), bool), row_of == config.rows_per_side - 1])
+    station = np.concatenate([np.full(len(along), np.nan), stations[column_of]])
+    return Grid(
+        points=points,
+        edges=np.concatenate([along, across]).astype(np.int64),
+        crosses_goal=crosses,
+        station=np.where(crosses, station, np.nan),
+        near_side=np.repeat(np.arange(rows) < config.rows_per_side, count),
+        spacing=spacing,
+    )
+
+
+def lengths(points: Array, edges: NDArray[np.int64]) -> Array:
+    """Length (E,) [px] of each edge between `points` (N, 2)."""
+    return np.asarray(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1))
+
+
+def _stations(polyline: Array, config: GridConfig) -> tuple[Array, float]:
+    """Stations 0..1 along the goal, evenly spaced between the insets, and their distance; at least two."""
+    length = max(float(arc_lengths(polyline)[-1]), 1e-9)
+    inset = min(config.end_inset / length, 0.25)
+    count = max(2, round((1.0 - 2.0 * inset) * length / config.station_spacing) + 1)
+    return np.linspace(inset, 1.0 - inset, count), (1.0 - 2.0 * inset) / (count - 1)
+
+
+def _at_stations(row: Array, stations: Array) -> Array:
+    """Read a tracked row (M, 2) at `stations` (S,), fractions of its index, which goes with the tissue, not of its arc: (S, 2)."""
+    index = np.linspace(0.0, 1.0, len(row))
+    return np.column_stack([np.interp(stations, index, row[:, k]) for k in (0, 1)])

@@ -1,0 +1,66 @@
+"""Grasping and holding tissue with PSM1: approach, close, and see by the force whether something was caught."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.codes import Code
+from hardware.gate import Lease
+from hardware.interface import GRASPER, Array, MoveReport, MoveStatus, Pose
+from skills.motion import pause, servo_line, wait
+from skills.skill import Steps
+
+
+@dataclass(frozen=True)
+class GraspConfig:
+    """How the grasper takes tissue. Lengths [m], angles [rad], speeds [m/s]."""
+
+    jaw_open: float = np.deg2rad(50.0)
+    jaw_closed: float = 0.0
+    clearance: float = 12e-3  # above the tissue, where the free motion ends
+    bite: float = 0.5e-3  # below the surface seen, where the jaws close
+    approach_speed: float = 10e-3
+    pull_speed: float = 5e-3
+    shaft_tilt: float = np.deg2rad(30.0)  # of the shaft from the surface normal, away from the goal
+    test_pull: float = 2e-3
+    least_tension: float = 0.04  # [N] that a test pull of caught tissue gives
+
+
+@dataclass(frozen=True)
+class Grasped:
+    """Tissue in the jaws: the pose `origin` at which they closed and the surface `normal` (3,) there, towards the camera."""
+
+    origin: Pose
+    normal: Array
+
+
+def take(lease: Lease, point: Array, normal: Array, away: Array, config: GraspConfig) -> Steps[tuple[MoveReport, Grasped | None]]:
+    """Grasp the tissue at `point` (3,) [m] with surface `normal` (3,); the shaft leans towards `away` (3,), off the goal."""
+    away = away - normal * (away @ normal)
+    away = away / np.linalg.norm(away)
+    shaft = np.cos(config.shaft_tilt) * normal + np.sin(config.shaft_tilt) * away
+    pose = Pose.looking(point - config.bite * normal, -shaft, np.cross(normal, away))
+    above = pose.moved(config.clearance * shaft)
+    for motion in (
+        wait(lease.move_jaw(GRASPER, config.jaw_open), "opening the grasper"),
+        wait(lease.move_cp(GRASPER, above), "moving the grasper above the tissue"),
+    ):
+        report = yield from motion
+        if report.status is MoveStatus.FAILED:
+            return report, None
+    report = yield from servo_line(lease, GRASPER, pose, config.approach_speed, "lowering the grasper")
+    if report.status is MoveStatus.FAILED:
+        return report, None
+    report = yield from wait(lease.move_jaw(GRASPER, config.jaw_closed), "closing the grasper")
+    if report.status is MoveStatus.FAILED:
+        return report, None
+    yield from pause(lease, 0.1, "closing the grasper")
+    origin = lease.setpoint_cp(GRASPER)
+    report = yield from servo_line(lease, GRASPER, origin.moved(config.test_pull * normal), config.pull_speed, "testing the grasp")
+    if report.status is MoveStatus.FAILED:
+        return report, None
+    yield from pause(lease, 0.2, "testing the grasp")
+    if not lease.tension() >= config.least_tension:
+        found = f"a pull of {config.test_pull * 1e3:.0f} mm met {lease.tension():.2f} N"
+        return MoveReport(MoveStatus.FAILED, Code.GRASP_EMPTY, f"the grasper closed but holds nothing: {found}"), None
+    return report, Grasped(origin, normal)

@@ -1,0 +1,144 @@
+"""Follows the goal on the image: two rows of tissue points to its sides, the grasp, and after a cut the keypoint grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.interface import Array, Frame
+from skills.estimate.grid import Grid, GridConfig, grid_around, lengths
+from skills.scene.goal import Goal
+from skills.scene.polyline import arc_lengths, left_normals, resample, side_of
+from skills.scene.tissue import TissueConfig, tool_mask
+from skills.tracking.dis import TrackerConfig, TrackerDIS
+from skills.tracking.rows import RowConfig, smooth_row
+from skills.tracking.tracks import TrackedGoal, Tracks
+
+NEAR, FAR = 0, 1  # groups of points that move together: the grasp's side of the goal and the other
+
+
+@dataclass(frozen=True)
+class GoalTrackerConfig:
+    """Layout of the tracked points, and when the goal counts as lost."""
+
+    row_offset: float = 8.0  # [px] of either row from the goal line
+    station_spacing: float = 8.0  # [px] along the goal
+    min_seen: float = 0.4  # share of the stations
+    min_strain_edges: int = 8  # fewer seen edges say nothing about strain
+    grid: GridConfig = field(default_factory=GridConfig)
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    rows: RowConfig = field(default_factory=RowConfig)
+    tissue: TissueConfig = field(default_factory=TissueConfig)
+
+
+class GoalTracker:
+    """Call `start` once, `update` with each new frame, `mark_reference` right after a cut (t_d); from one thread."""
+
+    def __init__(self, config: GoalTrackerConfig | None = None) -> None:
+        self.config = config or GoalTrackerConfig()
+        self._tracker = TrackerDIS(self.config.tracker)
+        self._tracked: TrackedGoal | None = None
+        self._grid: Grid | None = None
+
+    def start(self, frame: Frame, goal: Goal) -> TrackedGoal:
+        """Begin to follow `goal`, drawn on `frame`; an older goal and its grid are forgotten."""
+        c = self.config
+        count = max(3, round(arc_lengths(goal.polyline)[-1] / c.station_spacing) + 1)
+        line = resample(goal.polyline, count)
+        towards_grasp = side_of(goal.polyline, goal.grasp) * left_normals(line)
+        near, far = line + c.row_offset * towards_grasp, line - c.row_offset * towards_grasp
+        self._grid = None
+        self._begin(frame, near, far, goal.grasp, np.zeros((0, 2)), np.zeros(0, dtype=bool))
+        return self._read()
+
+    def update(self, frame: Frame) -> TrackedGoal:
+        """Follow the goal into `frame`.
+
+        Raises:
+            RuntimeError: `start` was not called.
+        """
+        self._require_started()
+        self._tracker.update(frame, tool_mask(frame.image, self.config.tissue))
+        return self._read()
+
+    def tracked(self) -> TrackedGoal:
+        """Give the goal as the newest frame showed it."""
+        return self._require_started()
+
+    def mark_reference(self, frame: Frame) -> Grid:
+        """Take `frame` as t_d: lay the keypoint grid around the goal as tracked there, and follow it from now on.
+
+        The rows are laid anew where their smoothed positions are, so that points lost while tools were in the way count again. If
+        the goal is lost, so is the grid: all its keypoints stay unseen.
+        """
+        tracked = self.update(frame)
+        self._grid = grid_around(tracked, self.config.row_offset, self.config.grid)
+        self._begin(frame, tracked.near, tracked.far, tracked.grasp, self._grid.points, self._grid.near_side)
+        self._grid_valid = not tracked.lost
+        self._read()
+        return self._grid
+
+    def grid_tracks(self) -> tuple[Array, Tracks, Grid]:
+        """Give the keypoints at t_d (N, 2), where they are now, and the grid.
+
+        Raises:
+            RuntimeError: `mark_reference` was not called since the goal was started.
+        """
+        if self._grid is None:
+            raise RuntimeError("there is no keypoint grid before mark_reference")
+        return self._grid.points.copy(), self._grid_part(), self._grid
+
+    def _begin(self, frame: Frame, near: Array, far: Array, grasp: Array, grid: Array, grid_near: NDArray[np.bool_]) -> None:
+        """Start the tracker on the rows, the grasp and the grid, in this order."""
+        count = len(near)
+        points = np.vstack([near, far, grasp[None], grid])
+        groups = np.concatenate([np.full(count, NEAR), np.full(count, FAR), [NEAR], np.where(grid_near, NEAR, FAR)])
+        self._tracker.start(frame, points, groups.astype(np.int64), tool_mask(frame.image, self.config.tissue))
+        self._laid = near.copy(), far.copy()
+        self._grid_valid = True
+
+    def _read(self) -> TrackedGoal:
+        """Make the goal from the tracker's points."""
+        c, tracks = self.config, self._tracker.tracks()
+        m = len(self._laid[0])
+        near, near_good = smooth_row(self._laid[0], tracks.points[:m], tracks.visible[:m], tracks.confidence[:m], c.rows)
+        part = slice(m, 2 * m)
+        far, far_good = smooth_row(self._laid[1], tracks.points[part], tracks.visible[part], tracks.confidence[part], c.rows)
+        visible = near_good & far_good
+        self._tracked = TrackedGoal(
+            stamp=tracks.stamp,
+            polyline=(near + far) / 2,
+            near=near,
+            far=far,
+            visible=visible,
+            grasp=tracks.points[2 * m],
+            grasp_visible=bool(tracks.visible[2 * m]),
+            lost=bool(visible.mean() < c.min_seen),
+            strain=self._strain(),
+        )
+        return self._tracked
+
+    def _grid_part(self) -> Tracks:
+        tracks, first = self._tracker.tracks(), 2 * len(self._laid[0]) + 1
+        part = Tracks(tracks.stamp, tracks.points[first:], tracks.visible[first:], tracks.confidence[first:])
+        if self._grid_valid:
+            return part
+        return replace(part, visible=np.zeros_like(part.visible), confidence=np.zeros_like(part.confidence))
+
+    def _strain(self) -> float:
+        """95th percentile of the relative lengthening of seen grid edges that do not cross the goal; nan if too few are seen."""
+        if self._grid is None:
+            return float("nan")
+        grid, tracks = self._grid, self._grid_part()
+        use = ~grid.crosses_goal & tracks.visible[grid.edges].all(axis=1)
+        if use.sum() < self.config.min_strain_edges:
+            return float("nan")
+        lengthening = lengths(tracks.points, grid.edges[use]) / lengths(grid.points, grid.edges[use]) - 1.0
+        return float(np.percentile(lengthening, 95))
+
+    def _require_started(self) -> TrackedGoal:
+        if self._tracked is None:
+            raise RuntimeError("the goal tracker must be started with a frame and a goal first")
+        return self._tracked
