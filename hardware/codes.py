@@ -10,6 +10,7 @@ class Code(StrEnum):
     # How a session ends
     COMPLETE = "complete"
     ATTEMPTS_USED = "attempts_used"
+    UNVERIFIED = "unverified"
     ABORTED = "aborted"
     INTERNAL_ERROR = "internal_error"
     # Latched: a person must clear these

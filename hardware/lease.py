@@ -102,14 +102,17 @@ class Refused:
 
 
 class LeasedMove:
-    """A motion under a lease: once the lease is dead, a motion not seen to be done has failed."""
+    """A motion under a lease: once the lease is dead, a motion not seen to be done has failed, wherever the arm is by then."""
 
     def __init__(self, lease: Lease, handle: MoveHandle) -> None:
         self._lease, self._handle = lease, handle
+        self._done = False
 
     def report(self) -> MoveReport:
         """Give the arm's own report while the lease lives."""
         report = self._handle.report()
-        if report.status is MoveStatus.RUNNING and not self._lease.alive:
+        if self._lease.alive:
+            self._done = report.status is MoveStatus.DONE
+        elif report.status is not MoveStatus.FAILED and not self._done:
             return MoveReport(MoveStatus.FAILED, Code.LEASE_REVOKED, f"the motion was stopped: {self._lease._ended_by}")
         return report

@@ -12,6 +12,7 @@ from hardware.stub.arms import ArmConfig, StubArm
 from hardware.stub.endoscope import StubEndoscope
 from hardware.stub.phantom import Phantom
 from hardware.stub.scene import Scene
+from hardware.stub.sheet_solver import bed_height
 from hardware.stub.snip import BladeSweep, bed_depth, severed
 from hardware.stub.surface import SheetSurface, ToolShape
 
@@ -119,6 +120,13 @@ class StubBench:
         """Both instruments where they truly are, left camera frame."""
         kinds = {GRASPER: "grasper", CUTTER: "scissors"}
         return [ToolShape(kinds[name], arm.true_pose(), arm.true_jaw()) for name, arm in self._arms.items()]
+
+    def drawn_goal(self) -> tuple[Array, Array]:
+        """What an expert would draw on the first image: the scene's goal line (M, 2) and grasp (2,) as pixels."""
+        rest = np.vstack([self.scene.line, self.scene.goal.grasp])
+        height = bed_height(rest, self.scene.bump) + self.scene.tissue.thickness / 2
+        pixels = self.endoscope.camera.project(self.to_camera(np.column_stack([rest, height])))
+        return pixels[:-1], pixels[-1]
 
     def to_camera(self, points: Array) -> Array:
         """Points (N, 3) [m] from the table frame to the left camera frame."""

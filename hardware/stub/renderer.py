@@ -1,12 +1,13 @@
 """The stub's endoscope camera: a stereo rasteriser on the processor, without a display and without a GPU.
 
-Textured sheet with cut walls and underside, dark bed in its openings, instruments that occlude, a lamp beside the lens with 1/r^2 falloff,
-highlights, vignette, lens blur and sensor noise; depth, labels and triangle numbers come with each image, exactly as it was drawn.
+Textured sheet with cut walls and underside, dark bed in its openings, instruments that occlude, a lamp beside the lens with 1/r^2
+falloff, highlights, vignette, lens blur and sensor noise; with each image come depth, labels and triangle numbers as drawn.
 """
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -23,7 +24,8 @@ from hardware.stub.toolmesh import ToolMesh, tool_mesh
 
 __all__ = ["Label", "Look", "Renderer", "Rendering"]
 
-SHEET_TEXELS = 1024  # the sheet's longer side fills this many texels but for a margin; at 80 mm it is about one texel per pixel
+SHEET_TEXELS = 1024  # the sheet's longer side fills this many texels but for a margin; at 80 mm a texel is smaller than a pixel
+SHEET_MARGIN = 4  # [texels] of tissue beyond the sheet's border, for interpolation
 TILE_TEXELS = 512
 TILE_LENGTH = 0.04  # [m] covered by one repeat of the tiled textures
 LAMP = (0.0015, -0.005, 0.0)  # [m], left camera frame
@@ -63,9 +65,10 @@ class Look:
 
 @dataclass(frozen=True)
 class Rendering:
-    """One eye's view: `image` (H, W, 3) uint8 RGB; `depth` (H, W) float32 [m], 0 where nothing is; `label` (H, W) uint8 of `Label`.
+    """One eye's view: `image` (H, W, 3) uint8 RGB; `depth` (H, W) float32 [m], 0 where nothing is.
 
-    `triangle` (H, W) int32 indexes `SheetSurface.triangles` on TOP and UNDERSIDE pixels and is -1 elsewhere.
+    `label` (H, W) uint8 of `Label`; `triangle` (H, W) int32 indexes `SheetSurface.triangles` on TOP and UNDERSIDE pixels and
+    is -1 elsewhere.
     """
 
     image: Image
@@ -86,7 +89,7 @@ class Eye:
         self.shape = (camera.height, camera.width)
         count = camera.width * camera.height
         self.keys = wp.zeros(count, dtype=wp.uint64, device="cpu")
-        self.illumination = wp.array(illumination.reshape(-1), dtype=float, device="cpu")
+        self.illumination: wp.array = wp.array(illumination.reshape(-1), dtype=float, device="cpu")
         self.screen = wp.empty(0, dtype=wp.vec3, device="cpu")
         self.setups = wp.empty(0, dtype=Setup, device="cpu")
 
@@ -103,20 +106,21 @@ class DeviceMesh:
 
     def __init__(self, mesh: RenderMesh) -> None:
         self.mesh = mesh
-        self.vertices = wp.array(mesh.positions, dtype=wp.vec3, device="cpu", copy=False)
-        self.normals = wp.array(mesh.normals, dtype=wp.vec3, device="cpu", copy=False)
-        self.corners = wp.array(mesh.corners, dtype=wp.vec3i, device="cpu", copy=False)
-        self.texels = wp.array(mesh.texels, dtype=wp.vec2, device="cpu", copy=False)
-        self.labels = wp.array(mesh.labels, dtype=wp.uint8, device="cpu", copy=False)
+        self.vertices: wp.array = wp.array(mesh.positions, dtype=wp.vec3, device="cpu", copy=False)
+        self.normals: wp.array = wp.array(mesh.normals, dtype=wp.vec3, device="cpu", copy=False)
+        self.corners: wp.array = wp.array(mesh.corners, dtype=wp.vec3i, device="cpu", copy=False)
+        self.texels: wp.array = wp.array(mesh.texels, dtype=wp.vec2, device="cpu", copy=False)
+        self.labels: wp.array = wp.array(mesh.labels, dtype=wp.uint8, device="cpu", copy=False)
 
 
 class Renderer:
     """Draws one sheet over one bed. Repeatable to the byte: an image depends on the look, the scene, `sequence` and `eye` alone.
 
-    One renderer follows one sheet, whose `revision` must grow with each change of topology. Not for use from several threads at once.
+    One renderer follows one sheet, whose `revision` must grow with each change of topology. One thread at a time may use it.
     """
 
     def __init__(self, look: Look, camera: CameraModel, base: BaseSurface) -> None:
+        wp.load_module("hardware.stub.renderkernels", device="cpu")  # here, so that two eyes never compile it at the same moment
         self.look, self.camera = look, camera
         self._base = base
         self._atlas, self._layers, self._scales = _atlas(look)
@@ -136,7 +140,7 @@ class Renderer:
         return self._view(self._placed(sheet, tools), sequence, eye)
 
     def render_pair(self, sheet: SheetSurface, tools: Sequence[ToolShape], sequence: int) -> tuple[Rendering, Rendering]:
-        """Both views at once, on two threads (Warp lets go of the interpreter while a kernel runs); the same as two `render` calls."""
+        """Both views at once, the same as two `render` calls, on two threads: Warp frees the interpreter while a kernel runs."""
         scene = self._placed(sheet, tools)
         right = self._second.submit(self._view, scene, sequence, 1)
         left = self._view(scene, sequence, 0)
@@ -168,20 +172,12 @@ class Renderer:
         label = np.empty((height, width), np.uint8)
         triangle = np.empty((height, width), np.int32)
         surroundings = _surroundings(eye.keys.numpy().reshape(eye.shape), scene.mesh.labels)
-        mesh = scene.mesh
-        wp.launch(
-            shade,
-            height,
-            [eye.view, eye.keys, eye.setups, scene.labels, self._layers, self._atlas, _flat(surroundings), eye.illumination]
-            + [mesh.first_top, mesh.first_bottom, mesh.sheet_triangles],
-            [
-                wp.array(image.reshape(-1, 3), dtype=wp.vec3ub, device="cpu", copy=False),
-                _flat(depth),
-                _flat(label),
-                _flat(triangle),
-            ],
-            device="cpu",
-        )
+        visible = [eye.view, eye.keys, eye.setups, scene.labels]
+        light = [self._layers, self._atlas, _flat(surroundings), eye.illumination]
+        sheet = [scene.mesh.first_top, scene.mesh.first_bottom, scene.mesh.sheet_triangles]
+        colours: wp.array = wp.array(image.reshape(-1, 3), dtype=wp.vec3ub, device="cpu", copy=False)
+        outputs = [colours, _flat(depth), _flat(label), _flat(triangle)]
+        wp.launch(shade, height, [*visible, *light, *sheet], outputs, device="cpu")
         return Rendering(self._sensed(image, sequence, number), depth, label, triangle)
 
     def _find_visible(self, scene: DeviceMesh, eye: Eye) -> None:
@@ -192,7 +188,7 @@ class Renderer:
     def _sensed(self, image: Image, sequence: int, eye: int) -> Image:
         """What the sensor makes of `image`: lens blur, then noise, a window of the noise tile drawn by sequence and eye."""
         if self.look.blur > 0:
-            image = cv2.GaussianBlur(image, (3, 3), self.look.blur)
+            image = np.asarray(cv2.GaussianBlur(image, (3, 3), self.look.blur), dtype=np.uint8)
         if self.look.noise == 0:
             return image
         height, width = image.shape[:2]
@@ -219,8 +215,8 @@ def _within(name: str, value: float, low: float, high: float, unit: str = "") ->
 def _surroundings(keys: NDArray[np.uint64], labels: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Smoothed depth (H, W) [m] of tissue and bed around each pixel, without the tools; far away where there is none.
 
-    Depth of the scene sampled in coarse cells and blurred at two scales: a pixel far below it lies in a cavity. On an even slope it equals
-    the depth itself, so that open surfaces stay bright.
+    Depth of the scene sampled in coarse cells and blurred at two scales: a pixel far below it lies in a cavity. On an even slope
+    it equals the depth itself, so that open surfaces stay bright.
     """
     height, width = keys.shape
     cells = keys[CELL // 2 :: CELL, CELL // 2 :: CELL]
@@ -247,7 +243,7 @@ def _illumination(look: Look, camera: CameraModel) -> NDArray[np.float32]:
 
 
 def _noise_tile(look: Look, camera: CameraModel) -> NDArray[np.int8]:
-    """Noise [grey levels], larger than the image so that windows differ. Under a square-root tone curve, photon noise is even over all levels."""
+    """Noise [grey levels], larger than the image so that windows differ; even over all levels, as photons under a root."""
     rng = np.random.default_rng((look.seed, 1))
     tile = rng.normal(0.0, look.noise, (camera.height + 97, camera.width + 131, 3))
     return np.clip(np.round(tile), -127, 127).astype(np.int8)
@@ -255,44 +251,52 @@ def _noise_tile(look: Look, camera: CameraModel) -> NDArray[np.int8]:
 
 def _atlas(look: Look) -> tuple[wp.array, wp.array, tuple[TextureScale, TextureScale]]:
     """All textures in one array of 64-bit texels, the `Layer` of each label, and the scales of sheet and tiles."""
-    material = Material(look.material)
-    margin = 4
-    scale = (SHEET_TEXELS - 2 * margin) / max(look.size)
-    used = [round(side * scale) + 2 * margin for side in look.size]
-    size = [1 << (n - 1).bit_length() for n in used]
-    tile = TILE_TEXELS / TILE_LENGTH
-    rngs = [np.random.default_rng((look.seed, 2, part)) for part in range(4)]
-    top = np.zeros((size[1], size[0], 4), np.uint8)
-    top[: used[1], : used[0]] = sheet_texture(material, (used[0], used[1]), scale * 1e-3, rngs[0])
-    inner = inner_texture(material, TILE_TEXELS, tile * 1e-3, rngs[1])
-    bed = bed_texture(TILE_TEXELS, tile * 1e-3, rngs[2])
-    metal = metal_texture(TILE_TEXELS, tile * 1e-3, rngs[3])
-
-    places = {
-        Label.TOP: (top, 0.10, 0.9, 0.25),
-        Label.UNDERSIDE: (inner, 0.08, 0.6, 0.25),
-        Label.WALL: (inner, 0.05, 0.5, 0.25),
-        Label.BASE: (bed, 0.08, 0.7, 0.2),
-        Label.TOOL: (metal, 0.9, 2.2, 0.0),
+    sheet, tile = _scales(look.size)
+    texels, places = _painted(Material(look.material), look.seed, look.size)
+    # Which texture each surface wears, and how it shines: sheen, glint, and how far light creeps around the terminator.
+    surfaces = {
+        Label.TOP: (0, 0.10, 0.9, 0.25),
+        Label.UNDERSIDE: (1, 0.08, 0.6, 0.25),
+        Label.WALL: (1, 0.05, 0.5, 0.25),
+        Label.BASE: (2, 0.08, 0.7, 0.2),
+        Label.TOOL: (3, 0.9, 2.2, 0.0),
     }
     layers = [Layer() for _ in Label]
-    parts, starts, end = [], {}, 0
-    for label, (texture, sheen, glint, wrap) in places.items():
-        if id(texture) not in starts:
-            starts[id(texture)] = end
-            parts.append(_texels(texture))
-            end += parts[-1].size
-        height, width = texture.shape[:2]
+    for label, (texture, sheen, glint, wrap) in surfaces.items():
+        start, height, width = places[texture]
         layer = layers[label]
-        layer.start, layer.stride, layer.mask_u, layer.mask_v = starts[id(texture)], width, width - 1, height - 1
+        layer.start, layer.stride, layer.mask_u, layer.mask_v = start, width, width - 1, height - 1
         layer.sheen, layer.glint = sheen * look.gloss, glint * look.gloss
         layer.lambert, layer.wrap = 1.0 / (1.0 + wrap), wrap / (1.0 + wrap)
-    sheet_scale = TextureScale(scale, (0.5 * used[0] - 0.5, 0.5 * used[1] - 0.5))
-    return (
-        wp.array(np.concatenate(parts), dtype=wp.uint64, device="cpu"),
-        wp.array(layers, dtype=Layer, device="cpu"),
-        (sheet_scale, TextureScale(tile, (0.0, 0.0))),
-    )
+    return wp.array(texels, dtype=wp.uint64, device="cpu", copy=False), wp.array(layers, dtype=Layer, device="cpu"), (sheet, tile)
+
+
+def _scales(size: tuple[float, float]) -> tuple[TextureScale, TextureScale]:
+    """Texel scales of the sheet's texture, whose origin is its middle, and of the tiles."""
+    scale = (SHEET_TEXELS - 2 * SHEET_MARGIN) / max(size)
+    middle = (0.5 * size[0] * scale + SHEET_MARGIN - 0.5, 0.5 * size[1] * scale + SHEET_MARGIN - 0.5)
+    return TextureScale(scale, middle), TextureScale(TILE_TEXELS / TILE_LENGTH, (0.0, 0.0))
+
+
+@lru_cache(maxsize=4)
+def _painted(material: Material, seed: int, size: tuple[float, float]) -> tuple[NDArray[np.uint64], list[tuple[int, int, int]]]:
+    """The textures of sheet, flesh, bed and metal as one array of texels, with (start, height, width) of each."""
+    sheet, tile = _scales(size)
+    used = [round(side * sheet.texels) + 2 * SHEET_MARGIN for side in size]
+    rngs = [np.random.default_rng((seed, 2, part)) for part in range(4)]
+    # Sides are powers of two, so that a mask wraps them; what the sheet leaves over stays black and is never seen.
+    whole = [1 << (side - 1).bit_length() for side in used]
+    top = np.zeros((whole[1], whole[0], 4), np.uint8)
+    top[: used[1], : used[0]] = sheet_texture(material, (used[0], used[1]), sheet.texels * 1e-3, rngs[0])
+    textures = [
+        top,
+        inner_texture(material, TILE_TEXELS, tile.texels * 1e-3, rngs[1]),
+        bed_texture(TILE_TEXELS, tile.texels * 1e-3, rngs[2]),
+        metal_texture(TILE_TEXELS, tile.texels * 1e-3, rngs[3]),
+    ]
+    starts = np.cumsum([0, *(texture.shape[0] * texture.shape[1] for texture in textures)])
+    places = [(int(start), *texture.shape[:2]) for start, texture in zip(starts, textures, strict=False)]
+    return np.concatenate([_texels(texture) for texture in textures]), places
 
 
 def _texels(texture: NDArray[np.uint8]) -> NDArray[np.uint64]:

@@ -1,4 +1,4 @@
-"""One mesh of everything the endoscope sees: bed, the sheet as a closed shell with walls at its border and cuts, and the tools."""
+"""One mesh of all that the endoscope sees: bed, the sheet as a closed shell with walls at its border and cuts, tools."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class Label(IntEnum):
 
 
 def boundary_edges(triangles: Ints) -> Ints:
-    """Directed edges (E, 2) that belong to one triangle only, the sheet's border and both lips of every cut; tissue on their left."""
+    """Directed edges (E, 2) that belong to one triangle only: the sheet's border and the lips of cuts, tissue on the left."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
     count = int(triangles.max(initial=0)) + 1
     forward = edges[:, 0] * count + edges[:, 1]
@@ -69,14 +69,14 @@ class TextureScale:
 
     def __call__(self, coordinates: Floats) -> Floats:
         """Texel coordinates (..., 2) of `coordinates` (..., 2) [m]."""
-        return (coordinates * self.texels + np.float32(self.origin)).astype(np.float32)
+        return (coordinates * self.texels + np.array(self.origin, dtype=np.float32)).astype(np.float32)
 
 
 class RenderMesh:
-    """Vertices, normals and triangles for the kernels, with the topology worked out once and the positions renewed at every frame.
+    """Vertices, normals and triangles for the kernels; the topology is worked out once, the positions are renewed at every frame.
 
-    Triangles lie in the order bed, underside, walls, top, tools, so that drawing from the last to the first finds most hidden pixels
-    early; vertices in the order bed, top, underside, tools.
+    Triangles lie in the order bed, underside, walls, top, tools, so that drawing from the last to the first finds most hidden
+    pixels early; vertices in the order bed, top, underside, tools.
     """
 
     def __init__(
@@ -147,8 +147,8 @@ def topology_key(sheet: SheetSurface, tools: Sequence[ToolMesh]) -> tuple[int, .
 
 
 def _wall_coordinates(sheet: SheetSurface, a: Ints, b: Ints) -> Floats:
-    """Texture coordinates (2E, 3, 2) [m] of the two wall triangles on each boundary edge: along the edge, and down the thickness."""
-    # One skew projection of the rest coordinates serves edges of nearly every direction, and agrees where two walls meet at a vertex.
+    """Texture coordinates (2E, 3, 2) [m] of both wall triangles on each boundary edge: along the edge, down the thickness."""
+    # One skew projection of the rest coordinates serves edges of nearly every direction, and agrees where two walls meet.
     along = sheet.rest @ np.array([1.0, 0.37], dtype=np.float32)
     top = np.stack([along, np.zeros_like(along)], axis=1)
     low = np.stack([along, np.full_like(along, sheet.thickness)], axis=1)

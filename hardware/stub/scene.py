@@ -28,8 +28,8 @@ class TissueConfig:
     youngs_modulus: float = 60e3  # [Pa]
     density: float = 1070.0  # [kg/m^3]
     bending: float = 2e-7  # [J], isometric bending stiffness
-    puncture_force: float = 0.12  # [N], mean force at which a blade tip goes through (sharp dissection: hundredths to tenths of a newton)
-    puncture_variation: float = 0.35  # relative standard deviation of that force over the sheet
+    puncture_force: float = 0.07  # [N], mean force at which a blade tip goes through (sharp dissection: hundredths to tenths of a newton)
+    puncture_variation: float = 0.45  # relative standard deviation of that force over the sheet
     puncture_scale: float = 6e-3  # [m], over which it varies
     tear_stretch: float = 3.0  # stretch at which tissue tears (mesentery, peritoneum, fascia: 1.8 to 3.2)
     fine_spacing: float = 0.8e-3
@@ -65,7 +65,7 @@ class CameraConfig:
 class ArmsConfig:
     """Imperfections of both arms; each session draws its own values from the seed."""
 
-    bias: float = 0.6e-3  # [m], standard deviation per axis of the constant calibration error left after registration
+    bias: float = 0.4e-3  # [m], standard deviation per axis of the constant calibration error left after registration
     backlash: float = 0.2e-3  # [m]
     latency: float = 0.05  # [s]
     force_noise: float = 0.05  # [N]

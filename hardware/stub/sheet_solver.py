@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hardware.interface import Array
 
-wp.config.quiet = True
+wp.config.log_level = wp.LOG_WARNING
 wp.set_module_options({"enable_backward": False})
 
 FloatArray = NDArray[np.float32]

@@ -20,7 +20,7 @@ LEAST_DAMAGE = 0.05  # scratches shallower than this leave no mark
 SAMPLE = 0.25e-3  # [m], between the points at which depth is evaluated along the sheet
 DENT_STIFFNESS = 60.0  # [N/m], of an untensioned sheet under a blade tip: the bending and the air of the undermined plane
 DENT_PER_TENSION = 4.0  # [N/m per N/m], of a membrane under tension (2 pi / ln(R/a), R/a about 5)
-ESCAPE = 0.9e-3  # [m], that fully slack tissue escapes at either end of a closing jaw
+ESCAPE = 0.85e-3  # [m], that fully slack tissue of mean toughness escapes at either end of a closing jaw
 ESCAPE_TENSION = 12.0  # [N/m], line tension at which half of that is left
 
 
@@ -121,12 +121,13 @@ def _damage(phantom: Phantom, sweep: BladeSweep, rest: Array, local: Array, x: A
     along, reach = local[:, 0], local[:, 1] + BLADE
     radius = np.hypot(along, reach)
     angle = np.abs(np.arctan2(along, reach))
-    escape = ESCAPE / (1.0 + tension / ESCAPE_TENSION)
+    toughness = phantom.toughness(rest)
+    escape = ESCAPE * toughness / max(phantom.scene.tissue.puncture_force, 1e-9) / (1.0 + tension / ESCAPE_TENSION)
     met = (reach > 0) & (angle <= sweep.opened / 2 - escape / np.maximum(radius, 1e-6)) & (angle >= sweep.closed / 2)
     if sweep.closed < np.deg2rad(2.0):
         met |= (reach > 0) & (np.abs(along) < 1e-4)
     gap = np.maximum(x[:, 2] - thickness / 2 - bed_height(x[:, :2], phantom.scene.bump), 0.0)
-    dent = phantom.toughness(rest) / (DENT_STIFFNESS + DENT_PER_TENSION * tension)
+    dent = toughness / (DENT_STIFFNESS + DENT_PER_TENSION * tension)
     depth = BLADE - radius - np.minimum(dent, gap)
     return np.where(met, np.clip(depth / thickness + 0.5, 0.0, 1.0), 0.0)
 

@@ -85,7 +85,7 @@ def _chicken(shape: tuple[int, int], mm: float, rng: np.random.Generator) -> Tex
     creases = np.exp(-((_noise(shape, 1.6 * mm, rng) / 0.10) ** 2))
     colour *= 1 - 0.030 * creases[..., None]
     bumps = cv2.GaussianBlur(_dots(shape, rng, per_area=0.045 * mm**-2, radius=(0.22 * mm, 0.38 * mm)), (0, 0), 0.22 * mm)
-    colour *= 1 - 0.16 * bumps[..., None] * np.float32([0.5, 1.0, 1.0])
+    colour *= 1 - 0.16 * bumps[..., None] * np.array([0.5, 1.0, 1.0], dtype=np.float32)
     veins = cv2.GaussianBlur(_vessels(shape, mm, rng, trunks=2, width=0.6 * mm), (0, 0), 0.35 * mm)
     colour = _over(colour, (176, 112, 118), 0.30 * veins)
     gloss = 0.62 + 0.22 * _noise(shape, 0.45 * mm, rng) + 0.15 * _noise(shape, 2.5 * mm, rng) - 0.2 * bumps
@@ -141,8 +141,9 @@ def _stretched_noise(shape: tuple[int, int], scale: tuple[float, float], rng: np
 
 def _warped(field: Floats, shift: Floats) -> Floats:
     """`field` with each texel fetched `shift` texels further down."""
-    v, u = np.indices(field.shape, dtype=np.float32)
-    return cv2.remap(field, u, v + shift, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    v, u = np.mgrid[: field.shape[0], : field.shape[1]].astype(np.float32)
+    moved = cv2.remap(field, np.asarray(u), np.asarray(v + shift), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    return np.asarray(moved, dtype=np.float32)
 
 
 def _vessels(shape: tuple[int, int], mm: float, rng: np.random.Generator, trunks: int, width: float) -> Floats:
@@ -191,18 +192,18 @@ def _dots(shape: tuple[int, int], rng: np.random.Generator, per_area: float, rad
             cv2.circle(
                 layer, tuple(int(x) for x in np.round(centre * 16)), int(rng.uniform(*radius) * 16), 255, -1, cv2.LINE_AA, 4
             )
-    return layer.astype(np.float32) / 255
+    return (layer / 255).astype(np.float32)
 
 
 def _blend(dark: tuple[int, int, int], light: tuple[int, int, int], mix: Floats) -> Floats:
     """Colours (H, W, 3) from `dark` to `light` by `mix` (H, W), which is clipped to [-0.3, 1.3]."""
-    a, b = np.float32(dark), np.float32(light)
+    a, b = np.array(dark, dtype=np.float32), np.array(light, dtype=np.float32)
     return (a + np.clip(mix, -0.3, 1.3)[..., None] * (b - a)).astype(np.float32)
 
 
 def _over(colour: Floats, paint: tuple[int, int, int], cover: Floats) -> Floats:
     """`paint` laid over `colour` (H, W, 3) with `cover` (H, W)."""
-    return colour + cover[..., None] * (np.float32(paint) - colour)
+    return colour + cover[..., None] * (np.array(paint, dtype=np.float32) - colour)
 
 
 def _pack(colour: Floats, gloss: Floats) -> Texture:

@@ -35,7 +35,7 @@ class ToolMesh:
 
 @dataclass(frozen=True)
 class _Section:
-    """A cross-section of a bar: at height `z`, centre (x, y), half widths (rx, ry) [m]; `square` 0 is an ellipse, 1 a rectangle."""
+    """Cross-section of a bar: at height `z`, centre (x, y), half widths (rx, ry) [m]; `square` 0 is an ellipse, 1 a rectangle."""
 
     z: float
     x: float
@@ -56,13 +56,14 @@ def tool_mesh(shape: ToolShape) -> ToolMesh:
     if not (shape.pose.is_finite() and np.isfinite(shape.jaw)):
         raise InputError(f"the pose or the jaw angle of the {shape.kind} is not finite")
     body, blades = _parts(shape.kind)
-    positions, normals = [body.positions], [body.normals]
+    positions: list[Floats] = [body.positions]
+    normals: list[Floats] = [body.normals]
     for blade, side in zip(blades, (1.0, -1.0), strict=True):
         half = 0.5 * shape.jaw * side
         turn = np.array([[np.cos(half), 0, np.sin(half)], [0, 1, 0], [-np.sin(half), 0, np.cos(half)]], dtype=np.float32)
         pivot = np.array([0, 0, -BLADE_LENGTH[shape.kind]], dtype=np.float32)
-        positions.append((blade.positions - pivot) @ turn.T + pivot)
-        normals.append(blade.normals @ turn.T)
+        positions.append(np.asarray((blade.positions - pivot) @ turn.T + pivot, dtype=np.float32))
+        normals.append(np.asarray(blade.normals @ turn.T, dtype=np.float32))
     rotation = shape.pose.rotation().astype(np.float32)
     triangles, texture = _joined(shape.kind)
     return ToolMesh(

@@ -29,15 +29,15 @@ class PlanningConfig:
     """Settings of the planning agent. Lengths [m], angles [rad], speeds [m/s]."""
 
     snip: float = 5.0e-3  # advance along the goal from snip to snip
-    overlap: float = 1.0e-3  # by which neighbouring snips are meant to overlap
-    depth: float = 2.5e-3  # of the closed tip below the surface: the fixed insertion depth
+    overlap: float = 1.6e-3  # by which neighbouring snips are meant to overlap
+    depth: float = 3.0e-3  # of the closed tip below the surface: the fixed insertion depth
     clearance: float = 12e-3  # of the tip above the surface between snips
     least_jaw: float = np.deg2rad(20.0)
     most_jaw: float = np.deg2rad(60.0)
     insertion_speed: float = 10e-3
     retraction: float = 6e-3  # of the grasp before cutting
     lift: float = np.deg2rad(45.0)  # of the retraction out of the surface
-    settle: float = 0.15  # [s] after a snip
+    settle: float = 0.12  # [s] before the blades close; three times as long after
     patience: float = 1.0  # [s] to wait for the tracker to see the goal anew
     depth_radius: int = 5  # [px] of the neighbourhood that a depth is read from
     margin: float = 70.0  # [px] around the goal that is matched in stereo
@@ -46,7 +46,7 @@ class PlanningConfig:
 class PlanningAgent:
     """Cuts along a tracked goal. Remembers its grasp from attempt to attempt; `grasped` is None when it has none.
 
-    `clear_view` is False while the scissors are over the goal: what the tracker would see then is the instrument.
+    `clear_view` is False while the scissors move over the goal: what the tracker would see then is the instrument.
     """
 
     def __init__(self, config: PlanningConfig, grasp: GraspConfig, stereo: StereoConfig, executor: Executor) -> None:
@@ -156,11 +156,15 @@ class PlanningAgent:
             return report, pose
         report = yield from servo_line(lease, CUTTER, pose, config.insertion_speed, doing)
         if report.status is not MoveStatus.FAILED:
+            # The cut springs open within a few tenths of a second: the tracker has to watch, though the blades are in its view.
+            self.clear_view = True
+            yield from pause(lease, config.settle, doing)
             report = yield from wait(lease.move_jaw(CUTTER, 0.0), doing)
+            yield from pause(lease, 3 * config.settle, doing)
+            self.clear_view = False
         back = yield from wait(lease.move_cp(CUTTER, above), doing)
         if back.status is MoveStatus.FAILED and report.status is not MoveStatus.FAILED:
             report = back
-        yield from pause(lease, config.settle, doing)
         self.clear_view = True
         return report, pose
 

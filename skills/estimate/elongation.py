@@ -48,6 +48,8 @@ def estimate_connectivity(
     """
     config = config or ElongationConfig()
     before, after = lengths(reference, grid.edges), lengths(tracks.points, grid.edges)
+    # A cut that is open already at t_d has been stretched before the reference was taken: its edges count from the closed cut.
+    before = np.where(grid.crosses_goal, np.minimum(before, grid.closed_length), before)
     trusted = tracks.visible & (tracks.confidence >= config.min_confidence) & np.isfinite(tracks.points).all(axis=1)
     known = trusted[grid.edges].all(axis=1) & (before > 1e-6) & np.isfinite(after)
     rho = np.where(known, after / np.where(known, before, 1.0), np.nan)

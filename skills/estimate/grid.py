@@ -36,6 +36,7 @@ class Grid:
 
     `points` (N, 2) pixels; `edges` (E, 2) indices; `crosses_goal` (E,) bool; `station` (E,) 0..1 along the goal of edges that
     cross it, nan elsewhere; `near_side` (N,) bool, True on the grasp's side. `spacing` is the distance between stations, 0..1.
+    `closed_length` [px] is the length of an edge across the goal while the cut is closed: the spacing of the rows.
     """
 
     points: Array
@@ -44,6 +45,7 @@ class Grid:
     station: Array
     near_side: NDArray[np.bool_]
     spacing: float
+    closed_length: float
 
 
 def grid_around(tracked: TrackedGoal, row_offset: float, config: GridConfig | None = None) -> Grid:
@@ -76,6 +78,7 @@ def grid_around(tracked: TrackedGoal, row_offset: float, config: GridConfig | No
         station=np.where(crosses, station, np.nan),
         near_side=np.repeat(np.arange(rows) < config.rows_per_side, count),
         spacing=spacing,
+        closed_length=config.row_spacing,
     )
 
 
@@ -93,6 +96,6 @@ def _stations(polyline: Array, config: GridConfig) -> tuple[Array, float]:
 
 
 def _at_stations(row: Array, stations: Array) -> Array:
-    """Read a tracked row (M, 2) at `stations` (S,), fractions of its index, which goes with the tissue, not of its arc: (S, 2)."""
+    """Read a tracked row (M, 2) at `stations` (S,), fractions of its index, which goes with the tissue: (S, 2)."""
     index = np.linspace(0.0, 1.0, len(row))
     return np.column_stack([np.interp(stations, index, row[:, k]) for k in (0, 1)])

@@ -42,7 +42,7 @@ class ExposureNaive:
         tracked: Callable[[], TrackedGoal | None],
         grasped: Grasped | None,
         park: Pose,
-        mark_reference: Callable[[], None],
+        mark_reference: Callable[[], Steps[bool]],
     ) -> Steps[ExposeOutcome]:
         """Park the scissors at `park`, relax, take the reference image (t_d), pull (to t_e)."""
         config = self._config
@@ -70,7 +70,8 @@ class ExposureNaive:
             direction = yield from self._direction(lease, goal)
             if direction is None:
                 return ended(Code.DEPTH_INVALID, "the depth of the goal cannot be seen", Code.DEPTH_INVALID)
-            mark_reference()
+            if not (yield from mark_reference()):
+                return ended(Code.GOAL_LOST, "the tracker gave no reference image", Code.GOAL_LOST)
             start = lease.setpoint_cp(GRASPER)
             for number in range(1, config.steps + 1):
                 target = start.moved(number * config.step * direction)

@@ -32,8 +32,8 @@ def next_goal(
         outline: (H, W) bool, the tissue with its openings filled; segments stay inside it.
 
     Returns:
-        `Code.OK` with the segments in cutting order (none if nothing is uncut), or `Code.NO_CANDIDATE` with none if an edge cannot
-        be reached by any allowed segment.
+        `Code.OK` with the segments in cutting order (none if nothing is uncut), or `Code.NO_CANDIDATE` with none if an edge
+        cannot be reached by any allowed segment.
     """
     config = config or ReplanConfig()
     rng = rng or np.random.default_rng(0)

@@ -20,14 +20,16 @@ class StereoConfig:
 
     nearest: float = 0.045  # [m] of the working distance
     farthest: float = 0.130  # [m]
-    block: int = 5  # [px] matching window
+    block: int = 9  # [px] matching window
     left_right_difference: int = 1  # [px] allowed between the two directions of matching
     uniqueness: int = 5  # [%] by which the best match must beat the second
     speckle_size: int = 100  # [px] islands of disparity smaller than this are dropped
     speckle_range: int = 2  # [px] within one island
     prefilter_cap: int = 31
-    refine_window: int = 15  # [px] of the sub-pixel refinement; 0 leaves the matcher's own
-    refine_steps: int = 2
+    refine_window: int = 25  # [px] of the sub-pixel refinement; 0 leaves the matcher's own
+    refine_steps: int = 3
+    min_contrast: float = 0.7  # [grey levels] standard deviation over a window; flatter ground matches anything
+    contrast_window: int = 21  # [px]
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ def depth_from_stereo(
     disparity = matcher.compute(*gray)[:, border:].astype(np.float64) / 16.0
     if config.refine_window:
         disparity = _refined(gray[0][:, border:], gray[1][:, border:], disparity, least, config)
+    disparity = np.where(_contrast(gray[0][:, border:], config) >= config.min_contrast, disparity, 0.0)
     disparity = disparity[v0 - r0 : v1 - r0, u0 - c0 : u1 - c0]
     seen_by_both = np.arange(u0, u1)[None, :] - disparity >= 0
     valid = (disparity >= max(least, 1)) & seen_by_both
@@ -130,6 +133,14 @@ def _refined(left: NDArray[Any], right: NDArray[Any], disparity: Array, least: i
         step = cv2.blur(e * g, window) / (cv2.blur(g * g, window) + 1.0)
         d += np.clip(step, -0.5, 0.5)
     return np.where(steady & (np.abs(d - disparity) < 1.0), d, disparity).astype(np.float64)
+
+
+def _contrast(gray: NDArray[Any], config: StereoConfig) -> Array:
+    """Give the standard deviation (H, W) of `gray` (H, W) over a window around each pixel [grey levels]."""
+    window = (config.contrast_window, config.contrast_window)
+    g = gray.astype(np.float32) - np.float32(128.0)
+    variance = cv2.blur(g * g, window) - cv2.blur(g, window) ** 2
+    return np.sqrt(np.maximum(np.asarray(variance, dtype=np.float64), 0.0))
 
 
 def depth_at(depth_map: DepthMap, pixels: Array, radius: int = 4, min_valid: float = 0.25) -> Array:

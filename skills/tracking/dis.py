@@ -30,11 +30,14 @@ class TrackerConfig:
     preset: str = "medium"  # or "fast": a fifth of the time, about twice the error
     margin: float = 32.0  # of the box around the points; more than a point moves between updates
     max_disagreement: float = 1.5  # between the way forth and the way back
-    patch_radius: int = 7
-    min_texture: float = 2.5  # [grey levels] standard deviation; below it a patch looks like any other
+    patch_radius: int = 6  # less than the distance of the rows from the cut, so that a patch holds one side only
+    min_texture: float = 2.5  # [grey levels] standard deviation; below it a patch has no place of its own
+    noise: float = 1.0  # [grey levels] of the smoothed picture
     min_similarity: float = 0.2  # of the patch to the same patch one frame before
-    refind_similarity: float = 0.7  # of a hidden point's patch, to count as seen again
-    refind_reach: int = 6  # around where the neighbours say that it should be
+    refind_similarity: float = 0.6  # of a hidden point's patch, to count as seen again
+    min_followed: float = 0.2  # share of the seen points that flow must have followed for the others to be looked for
+    refind_reach: int = 12  # around where the neighbours say that it should be
+    max_change: float = 0.2  # of the brightness at the point itself, where its surroundings changed
     neighbours: int = 6
     max_hidden: int = 200  # updates before a hidden point is lost for good
     anchor_similarity: float = 0.85  # of a point's template; below it a new one is taken
@@ -52,6 +55,8 @@ class TrackerDIS:
     def __init__(self, config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
         self._flow = cv2.DISOpticalFlow.create(PRESETS[self.config.preset])
+        # The way back only checks the way forth, to a pixel or so: the quick preset does.
+        self._check = cv2.DISOpticalFlow.create(PRESETS["fast"])
 
     def start(
         self, frame: Frame, points: Array, groups: NDArray[np.int64] | None = None, tool_mask: NDArray[np.bool_] | None = None
@@ -93,10 +98,13 @@ class TrackerDIS:
         c = self.config
         moved, disagreement = self._follow(gray)
         patches = patches_at(gray, moved, c.patch_radius)
-        similar = same(self._last_patches, patches, c.min_texture)
+        similar = same(self._last_patches, patches, c.noise)
         open_to_view = self._inside(moved) & ~_covered(moved, tool_mask)
-        seen = self._seen & open_to_view & (disagreement <= c.max_disagreement) & (similar >= c.min_similarity)
-        moved = self._with_neighbours(moved, seen)
+        sure = self._seen & open_to_view & (disagreement <= c.max_disagreement)
+        seen = sure & (similar >= c.min_similarity)
+        # A cut that opens beside a point changes its patch; the point itself still looks the same.
+        centre = np.abs(_centres(patches) - _centres(self._last_patches)) <= c.max_change * _centres(self._last_patches)
+        seen |= sure & centre & (np.linalg.norm(moved - self._with_neighbours(moved, seen), axis=1) <= c.max_disagreement)
         moved, seen, refound = self._refind(gray, moved, seen, tool_mask)
         moved = self._anchor(gray, moved, seen)
         self._hidden_for = np.where(seen, 0, self._hidden_for + 1)
@@ -118,7 +126,7 @@ class TrackerDIS:
         u1, v1 = min(width, max(u1, u0 + 64)), min(height, max(v1, v0 + 64))
         old, new = (np.ascontiguousarray(picture[v0:v1, u0:u1]) for picture in (self._gray, gray))
         forth = self._flow.calc(old, new, np.zeros((*old.shape, 2), np.float32))
-        back = self._flow.calc(new, old, np.zeros((*old.shape, 2), np.float32))
+        back = self._check.calc(new, old, np.zeros((*old.shape, 2), np.float32))
         origin = np.array([u0, v0], dtype=np.float64)
         step = _sampled(forth, self._points - origin)
         moved = self._points + step
@@ -142,19 +150,46 @@ class TrackerDIS:
     def _refind(
         self, gray: Image, moved: Array, seen: NDArray[np.bool_], tool_mask: NDArray[np.bool_] | None
     ) -> tuple[Array, NDArray[np.bool_], Array]:
-        """Look for the hidden points' last seen patches around where they should be; give points, seen, similarity."""
+        """Look for the unseen points' last seen patches, from the seen ones outwards; give points, seen, similarity.
+
+        When a cut springs open, its lips move farther at once than flow can follow, but they move smoothly along themselves: each
+        point found tells where to look for the next one on its side.
+        """
         c = self.config
         moved, seen, found = moved.copy(), seen.copy(), np.zeros(len(moved))
-        wanted = ~seen & (self._hidden_for > 0) & (self._hidden_for <= c.max_hidden) & self._inside(moved)
-        wanted &= ~_covered(moved, tool_mask) & (texture(self._last_patches) >= c.min_texture)
-        for k in np.flatnonzero(wanted):
-            around = patches_at(gray, moved[k : k + 1], c.patch_radius + c.refind_reach)[0]
-            scores = cv2.matchTemplate(around, self._last_patches[k], cv2.TM_CCOEFF_NORMED)
-            _, best, _, (du, dv) = cv2.minMaxLoc(scores)
-            place = moved[k] + [du - c.refind_reach, dv - c.refind_reach]
-            if best >= c.refind_similarity and self._inside(place[None])[0] and not _covered(place[None], tool_mask)[0]:
-                moved[k], seen[k], found[k] = place, True, best
+        textured = texture(self._last_patches) >= c.min_texture
+        pending = ~seen
+        apart = np.linalg.norm(self._points[:, None] - self._points[None], axis=-1)
+        # The other side of the cut moves otherwise: it is asked only when nothing is seen on this one.
+        apart += 1e4 * (self._groups[:, None] != self._groups[None])
+        # A picture of something else would match here and there by chance.
+        recognised = seen.sum() >= c.min_followed * self._seen.sum()
+        while pending.any() and seen.any() and recognised:
+            k = int(np.flatnonzero(pending)[np.argmin(apart[np.ix_(pending, seen)].min(axis=1))])
+            near = np.flatnonzero(seen)
+            near = near[np.argsort(apart[k, near], kind="stable")[:3]]
+            moved[k] = self._points[k] + np.median(moved[near] - self._points[near], axis=0)
+            pending[k] = False
+            if self._hidden_for[k] > c.max_hidden or not self._inside(moved[k : k + 1])[0] or _covered(moved[k : k + 1], tool_mask)[0]:
+                continue
+            place, alike = self._search(gray, moved[k], self._last_patches[k], bool(textured[k]))
+            if alike >= c.refind_similarity and self._inside(place[None])[0] and not _covered(place[None], tool_mask)[0]:
+                moved[k], seen[k], found[k] = place, True, alike
+        moved[pending] = self._points[pending]
         return moved, seen, found
+
+    def _search(self, gray: Image, at: Array, patch: NDArray[np.float32], textured: bool) -> tuple[Array, float]:
+        """Where around `at` (2,) `patch` is found again, and how alike; a flat patch can only be compared where it should be."""
+        c = self.config
+        if not textured:
+            # In a flat patch correlation sees noise alone: as flat and about as bright is all that can be asked.
+            here = patches_at(gray, at[None], c.patch_radius)
+            change = abs(float(here.mean()) / max(float(patch.mean()), 1.0) - 1.0)
+            as_flat = float(texture(here)[0]) < 2.0 * c.min_texture
+            return at, (1.0 - 0.4 * change / c.max_change if as_flat else 0.0)
+        around = patches_at(gray, at[None], c.patch_radius + c.refind_reach)[0]
+        _, best, _, (du, dv) = cv2.minMaxLoc(cv2.matchTemplate(around, patch, cv2.TM_CCOEFF_NORMED))
+        return at + [du - c.refind_reach, dv - c.refind_reach], float(best)
 
     def _anchor(self, gray: Image, moved: Array, seen: NDArray[np.bool_]) -> Array:
         """Pull points back onto their template where it is still recognised; where it no longer is, take a new one here.
@@ -167,13 +202,18 @@ class TrackerDIS:
         ask = np.flatnonzero(seen & (texture(self._templates) >= c.min_texture))
         place = align(gray, self._templates[ask], moved[ask], c.anchor_steps, c.anchor_reach)
         there, here = (patches_at(gray, p, c.patch_radius) for p in (place, moved[ask]))
-        alike = same(self._templates[ask], there, c.min_texture)
-        take = (alike >= c.anchor_similarity) & (alike >= same(self._templates[ask], here, c.min_texture))
+        alike = same(self._templates[ask], there, c.noise)
+        take = (alike >= c.anchor_similarity) & (alike >= same(self._templates[ask], here, c.noise))
         result[ask[take]] = place[take]
         worn = seen.copy()
         worn[ask] = alike < c.anchor_similarity
         self._templates[worn] = patches_at(gray, result[worn], c.patch_radius)
         return result
+
+    def _as_bright(self, patches: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether each point itself is about as bright as when it was last seen, whatever is around it."""
+        before = _centres(self._last_patches)
+        return np.asarray(np.abs(_centres(patches) - before) <= self.config.max_change * before)
 
     def _inside(self, points: Array) -> NDArray[np.bool_]:
         height, width = self._gray.shape
@@ -182,7 +222,8 @@ class TrackerDIS:
 
 def _gray(image: Image) -> Image:
     # Slightly smoothed: on poor texture the noise would otherwise decide how alike two patches are.
-    return np.asarray(cv2.GaussianBlur(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), (5, 5), 1.0), dtype=np.uint8)
+    gray = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    return np.asarray(cv2.GaussianBlur(gray, (5, 5), 1.0), dtype=np.uint8)
 
 
 def _covered(points: Array, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
@@ -192,6 +233,12 @@ def _covered(points: Array, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]
     nearest = np.rint(points).astype(np.int64)
     u, v = np.clip(nearest[:, 0], 0, mask.shape[1] - 1), np.clip(nearest[:, 1], 0, mask.shape[0] - 1)
     return np.asarray(mask[v, u])
+
+
+def _centres(patches: NDArray[np.float32]) -> Array:
+    """Mean brightness (N,) of the middle 3 x 3 pixels of each patch."""
+    middle = patches.shape[-1] // 2
+    return np.asarray(patches[:, middle - 1 : middle + 2, middle - 1 : middle + 2].mean(axis=(1, 2)), dtype=np.float64)
 
 
 def _sampled(flow: NDArray[Any], points: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Small square patches of a grey picture around points: how alike two are, and where one is found again to a fraction of a pixel."""
+"""Small square patches of a grey picture around points: how alike two are, and where one is found again below the pixel."""
 
 from __future__ import annotations
 
@@ -31,17 +31,19 @@ def patches_at(gray: Image, points: Array, radius: int) -> Patches:
 
 def texture(patches: Patches) -> Array:
     """Give the standard deviation (N,) of each patch [grey levels]."""
-    return np.asarray(patches.reshape(len(patches), -1).std(axis=1), dtype=np.float64)
+    return np.asarray(patches.std(axis=(1, 2)), dtype=np.float64)
 
 
-def same(a: Patches, b: Patches, min_texture: float) -> Array:
-    """Correlate patches `a` and `b` (N, S, S): (N,) -1..1, 1 where both are flatter than `min_texture`, 0 where one is."""
-    x, y = (p.reshape(len(p), -1).astype(np.float64) for p in (a, b))
+def same(a: Patches, b: Patches, noise: float) -> Array:
+    """Say how alike patches `a` and `b` (N, S, S) are, whatever their mean brightness: (N,) -1..1, 1 for equal ones.
+
+    One minus the squared difference over the patches' summed variances, those of the picture's `noise` [grey levels] included:
+    close to the correlation where there is texture, and 1 for two flat patches, which correlation would call unlike.
+    """
+    x, y = (p.reshape(len(p), p.shape[1] * p.shape[2]).astype(np.float64) for p in (a, b))
     x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
-    deviations = np.sqrt((x**2).mean(axis=1)), np.sqrt((y**2).mean(axis=1))
-    correlation = (x * y).mean(axis=1) / np.maximum(deviations[0] * deviations[1], 1e-9)
-    flat = (deviations[0] < min_texture).astype(int) + (deviations[1] < min_texture)
-    return np.where(flat == 0, correlation, np.where(flat == 2, 1.0, 0.0))
+    variances = (x**2).mean(axis=1) + (y**2).mean(axis=1) + 2 * noise**2
+    return np.asarray(1.0 - ((x - y) ** 2).mean(axis=1) / variances)
 
 
 def align(gray: Image, templates: Patches, points: Array, steps: int, reach: float) -> Array:

@@ -54,11 +54,9 @@ def _off(residual: Array, trusted: NDArray[np.bool_], config: RowConfig) -> Arra
 def _running_median(values: Array, usable: NDArray[np.bool_], window: int) -> Array:
     """Median (M, 2) of the `window` usable values nearest along the row."""
     places = np.flatnonzero(usable)
-    result = np.empty_like(values)
-    for k in range(len(values)):
-        near = places[np.argsort(np.abs(places - k), kind="stable")[:window]]
-        result[k] = np.median(values[near], axis=0)
-    return result
+    away = np.abs(places[None, :] - np.arange(len(values))[:, None])
+    near = places[np.argsort(away, axis=1, kind="stable")[:, :window]]
+    return np.asarray(np.median(values[near], axis=1))
 
 
 def _whittaker(values: Array, weights: Array, config: RowConfig) -> Array:
