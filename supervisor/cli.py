@@ -1,0 +1,223 @@
+"""The command line: `dissect run`, `watch`, `replay`, `doctor`, `experiment`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from hardware.codes import InputError
+
+app = typer.Typer(
+    help="Supervises autonomous tissue dissection. Research software, not for clinical use.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+experiment = typer.Typer(help="The paper's experiments, on the stub bench.", no_args_is_help=True)
+app.add_typer(experiment, name="experiment")
+
+SESSIONS = Path("sessions")
+
+
+class Agent(StrEnum):
+    """Dissection agents."""
+
+    PLANNING = "planning"
+
+
+class Approve(StrEnum):
+    """Who approves goals."""
+
+    AUTO = "auto"
+    PROMPT = "prompt"
+
+
+class ViewKind(StrEnum):
+    """What shows a running session."""
+
+    TERMINAL = "terminal"
+    RERUN = "rerun"
+    NONE = "none"
+
+
+SceneOption = Annotated[str, typer.Option(help="Name of a scene, or a .toml file.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file.")]
+
+
+@app.command()
+def run(
+    scene: SceneOption = "silicone",
+    goal: Annotated[Path | None, typer.Option(help="Goal file (JSON); default: what an expert would draw on the scene.")] = None,
+    agent: Annotated[Agent, typer.Option(help="Dissection agent.")] = Agent.PLANNING,
+    attempts: Annotated[int, typer.Option(min=1, max=20, help="Most attempts.")] = 3,
+    feedback: Annotated[bool, typer.Option(help="Expose, estimate and replan after each attempt.")] = True,
+    seed: Annotated[int, typer.Option(min=0, help="Gives every random draw.")] = 0,
+    record: Annotated[Path | None, typer.Option(help="Folder of the record; default: a new one under sessions/.")] = None,
+    approve: Annotated[Approve, typer.Option(help="Approve goals automatically, or ask at the terminal.")] = Approve.AUTO,
+    view: Annotated[ViewKind, typer.Option(help="What shows the session while it runs.")] = ViewKind.TERMINAL,
+    json_file: JsonOption = None,
+) -> None:
+    """Run one supervised session on the stub bench."""
+    from supervisor.approvers import AutoApprover, PromptApprover
+    from supervisor.run import RunOptions, exit_status, prepare
+    from supervisor.run import run as run_session
+    from supervisor.terminal import TerminalView
+    from supervisor.view_rerun import RerunView
+
+    from hardware.stub.scene import load_scene
+
+    console = Console()
+    loaded = load_scene(scene)
+    folder = record or _new_folder(loaded.name, seed)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"the record folder {folder} is already there and not empty; name a new one")
+    options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, approve is Approve.PROMPT)
+    with console.status("preparing the bench (the first run compiles its kernels)"):
+        bench, checked = prepare(options)
+    rerun = None
+    if view is ViewKind.RERUN:
+        folder.mkdir(parents=True, exist_ok=True)
+        rerun = RerunView(folder, serve=True)
+        console.print(rerun.how_to_open)
+    terminal = None if view is ViewKind.NONE else TerminalView(console, title=f"{loaded.name}, seed {seed}")
+
+    def ask(question: str) -> str:
+        if terminal is not None:
+            terminal.pause()
+        return console.input(question)
+
+    approver = AutoApprover() if approve is Approve.AUTO else PromptApprover(ask)
+    try:
+        result = run_session(options, bench, checked, approver, [] if terminal is None else [terminal], rerun)
+    except KeyboardInterrupt:
+        console.print(f"\nInterrupted: both arms hold. Record and report are in {folder}.")
+        raise typer.Exit(3) from None
+    _write_json(json_file, dataclasses.asdict(result))
+    console.print(f"\n[bold]{result.outcome}[/bold]: {result.message}")
+    judged = "success" if result.success else "no success"
+    strands = f"{result.attachments} attachment{'' if result.attachments == 1 else 's'} left"
+    console.print(
+        f"Judged by the mesh: {judged}; {strands}, length deviation {result.length_deviation_m * 1e3:.1f} mm, "
+        f"{result.attempts} attempt{'' if result.attempts == 1 else 's'}, {result.wall_s:.0f} s."
+    )
+    console.print(f"Record: {folder}\nReport: {folder / 'report.html'}")
+    raise typer.Exit(exit_status(result.code))
+
+
+@app.command()
+def replay(folder: Annotated[Path, typer.Argument(help="Folder of a recorded session.")]) -> None:
+    """Show the timeline of a recorded session, closed or not."""
+    from supervisor.reading import read
+    from supervisor.replay import timeline
+
+    console = Console()
+    for line in timeline(read(folder)):
+        console.print(line)
+
+
+@app.command()
+def watch(where: Annotated[Path, typer.Argument(help="A session's folder, or the folder of all sessions.")] = SESSIONS) -> None:
+    """Show a session that is running in another terminal."""
+    from supervisor.watch import watch as watch_session
+
+    watch_session(where, Console())
+
+
+@app.command()
+def doctor(json_file: JsonOption = None) -> None:
+    """Say what this machine can and cannot run, and why."""
+    from supervisor.doctor import able, diagnose, table
+    from supervisor.plain import plain
+
+    checks = diagnose(Path())
+    _write_json(json_file, plain(checks))
+    Console().print(table(checks))
+    raise typer.Exit(0 if able(checks) else 1)
+
+
+@experiment.command()
+def autonomy(
+    scene: SceneOption = "silicone",
+    agent: Annotated[Agent, typer.Option(help="Dissection agent.")] = Agent.PLANNING,
+    feedback: Annotated[bool, typer.Option(help="With or without feedback.")] = True,
+    attempts: Annotated[int, typer.Option(min=1, max=20)] = 3,
+    trials: Annotated[int, typer.Option(min=1)] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others count up.")] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """How far an agent gets by itself, with and without feedback (paper, Evaluation of Dissection Autonomy)."""
+    from supervisor.experiments.autonomy import AutonomySettings, run_experiment
+
+    from hardware.stub.scene import load_scene
+
+    load_scene(scene)
+    settings = AutonomySettings(scene, agent.value, feedback, attempts, trials, seed)
+    journal = (json_file or Path("autonomy.json")).with_suffix(".trials.jsonl")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    console = Console()
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("trials", total=trials)
+        successes = 0
+
+        def progress(trial: dict[str, Any]) -> None:
+            nonlocal successes
+            successes += bool(trial["success"])
+            bar.update(task, advance=1, description=f"trials ({successes} succeeded)")
+
+        try:
+            figures = run_experiment(settings, journal, workers, progress)
+        except KeyboardInterrupt:
+            console.print(f"Interrupted. The trials that ended are in {journal}; the same command goes on after them.")
+            raise typer.Exit(3) from None
+    _write_json(json_file, figures)
+    low, high = figures["success_ci95"]
+    deviation = figures["length_deviation_m"]
+    console.print(
+        f"success {figures['success_rate']:.0%} (95 % CI {low:.0%} to {high:.0%}), "
+        f"length deviation {deviation['mean'] * 1e3:.2f} ± {deviation['sd'] * 1e3:.2f} mm, "
+        f"{figures['attachments']['mean']:.2f} attachments a trial, false done {figures['false_done_rate']:.1%}, "
+        f"{figures['wall_s']:.0f} s"
+    )
+
+
+def main() -> None:
+    """Entry point: bad input is one sentence and exit status 2."""
+    logging.basicConfig(level=os.environ.get("DISSECT_LOG", "ERROR"), format="%(levelname)s %(name)s: %(message)s")
+    try:
+        app()
+    except InputError as error:
+        sentence = str(error).rstrip(".")
+        Console(stderr=True).print(f"[red]dissect:[/red] {sentence[0].lower()}{sentence[1:]}.", highlight=False, soft_wrap=True)
+        sys.exit(2)
+
+
+def _new_folder(scene: str, seed: int) -> Path:
+    """A folder under sessions/ that is not there yet."""
+    number = 1
+    while (folder := SESSIONS / f"{scene}-seed{seed}-{number:03d}").exists():
+        number += 1
+    return folder
+
+
+def _write_json(path: Path | None, data: Any) -> None:
+    if path is None:
+        return
+    try:
+        path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from error
+
+
+if __name__ == "__main__":
+    main()
