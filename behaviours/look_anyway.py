@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from py_trees.common import Status
 
-from behaviours.board import RESULTS, Key, Step, result_of
+from behaviours.board import Key, Step, result_of
 from behaviours.leaf import Leaf
 from behaviours.recovery import Recovery, recovery
 from behaviours.services import Services
@@ -17,7 +17,7 @@ class LookAnyway(Leaf):
 
     def __init__(self, name: str, services: Services) -> None:
         self._dissected: Key[StepResult | None] = result_of(Step.DISSECT)
-        super().__init__(name, services, reads=RESULTS)
+        super().__init__(name, services, reads=(self._dissected,))
 
     def advance(self) -> Status:
         """Judge the code."""

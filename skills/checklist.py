@@ -27,7 +27,9 @@ def checklist(gate: SafetyGate, calibration: str, disk_free: float | None, least
             while not reached(arm.operating_state()):
                 if bench.now() > until:
                     state = arm.operating_state()
-                    return CheckOutcome(Code.CHECKLIST, f"{name} did not {command}: it is {state.state} {state.error}".strip(), tuple(items))
+                    return CheckOutcome(
+                        Code.CHECKLIST, f"{name} did not {command}: it is {state.state} {state.error}".strip(), tuple(items)
+                    )
                 yield Progress(f"checklist: {command} {name}")
         if not np.isfinite(arm.measured_cp().value.position).all():
             return CheckOutcome(Code.CHECKLIST, f"{name} reports no finite pose", tuple(items))

@@ -56,7 +56,9 @@ def take(lease: Lease, point: Array, normal: Array, away: Array, config: GraspCo
         return report, None
     yield from pause(lease, 0.1, "closing the grasper")
     origin = lease.setpoint_cp(GRASPER)
-    report = yield from servo_line(lease, GRASPER, origin.moved(config.test_pull * normal), config.pull_speed, "testing the grasp")
+    report = yield from servo_line(
+        lease, GRASPER, origin.moved(config.test_pull * normal), config.pull_speed, "testing the grasp"
+    )
     if report.status is MoveStatus.FAILED:
         return report, None
     yield from pause(lease, 0.2, "testing the grasp")

@@ -68,13 +68,12 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Run one supervised session on the stub bench."""
+    from hardware.stub.scene import load_scene
     from supervisor.approvers import AutoApprover, PromptApprover
     from supervisor.run import RunOptions, exit_status, prepare
     from supervisor.run import run as run_session
     from supervisor.terminal import TerminalView
     from supervisor.view_rerun import RerunView
-
-    from hardware.stub.scene import load_scene
 
     console = Console()
     loaded = load_scene(scene)
@@ -157,9 +156,8 @@ def autonomy(
     json_file: JsonOption = None,
 ) -> None:
     """How far an agent gets by itself, with and without feedback (paper, Evaluation of Dissection Autonomy)."""
-    from supervisor.experiments.autonomy import AutonomySettings, run_experiment
-
     from hardware.stub.scene import load_scene
+    from supervisor.experiments.autonomy import AutonomySettings, run_experiment
 
     load_scene(scene)
     settings = AutonomySettings(scene, agent.value, feedback, attempts, trials, seed)

@@ -14,11 +14,11 @@ import numpy as np
 from behaviours.proposal import Approver
 from behaviours.session_outcome import SessionOutcome
 from hardware.codes import Code
-from hardware.gate import Limits
 from hardware.stub.bench import StubBench
 from hardware.stub.scene import Scene
 from skills.scene.goal import Goal, load_goal, validate_goal
 from skills.scene.tissue import tissue_mask, tissue_outline
+from supervisor import topics
 from supervisor.doctor import versions
 from supervisor.experiments.evaluator import evaluate
 from supervisor.record import Recorder
@@ -79,7 +79,12 @@ def prepare(options: RunOptions) -> tuple[StubBench, Goal]:
 
 
 def run(
-    options: RunOptions, bench: StubBench, goal: Goal, approver: Approver, views: Sequence[View] = (), rerun: RerunView | None = None
+    options: RunOptions,
+    bench: StubBench,
+    goal: Goal,
+    approver: Approver,
+    views: Sequence[View] = (),
+    rerun: RerunView | None = None,
 ) -> RunResult:
     """Run the session to its end, close the record, write the report.
 
@@ -94,7 +99,7 @@ def run(
         bench.observe(_mesh_feed(bench, rerun))
 
     def judge(attempt: int) -> None:
-        recorder.write("/truth", bench.now(), evaluate(bench, attempt).as_dict())
+        recorder.write(topics.TRUTH, bench.now(), evaluate(bench, attempt).as_dict())
 
     pace = time.sleep if options.in_real_time else (lambda duration: None)
     session = Session(bench, setup, approver, recorder, (*views, *([] if rerun is None else [rerun])), judge, pace)
@@ -106,7 +111,7 @@ def run(
         raise
     finally:
         result = _result(options, setup, bench, session, outcome, time.monotonic() - started)
-        recorder.image("/camera/left", bench.now(), bench.endoscope.left().image)
+        recorder.image(topics.ENDOSCOPE, bench.now(), bench.endoscope.left().image)
         recorder.close(dataclasses.asdict(result) | {"record": ""})
         write_report(options.record)
         for view in views:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import py_trees
@@ -44,8 +44,8 @@ class SessionSetup:
     seed: int
     max_attempts: int = 3
     feedback: bool = True
-    limits: Limits = Limits()
-    skills: SkillConfig = SkillConfig()
+    limits: Limits = field(default_factory=Limits)
+    skills: SkillConfig = field(default_factory=SkillConfig)
     calibration: str = "no calibration needed"
 
 

@@ -54,7 +54,9 @@ class SkillConfig:
 class SessionSkills:
     """Implements `behaviours.services.SkillSet` with the real skills. One session, one thread."""
 
-    def __init__(self, gate: SafetyGate, config: SkillConfig, executor: Executor, seed: int, calibration: str, record: Path | None) -> None:
+    def __init__(
+        self, gate: SafetyGate, config: SkillConfig, executor: Executor, seed: int, calibration: str, record: Path | None
+    ) -> None:
         self._gate = gate
         self._config = config
         self._executor = executor
@@ -132,7 +134,9 @@ class SessionSkills:
         """The fewest segments that sever what is left (greedy)."""
         yield Progress("planning the corrective cuts")
         assert self._tracked is not None
-        plan = computed(self._executor, "planning the corrective cuts", next_goal, graph, self._tracked, self._config.replan, self._rng)
+        plan = computed(
+            self._executor, "planning the corrective cuts", next_goal, graph, self._tracked, self._config.replan, self._rng
+        )
         return (yield from plan)
 
     def retreat(self, lease: Lease) -> Steps[RetreatOutcome]:
@@ -156,4 +160,3 @@ class SessionSkills:
         tissue = tissue_mask(self.frame.image, self._config.tissue)
         opening = opening_along(tracks.points, grid.edges, tissue)
         return estimate_connectivity(grid, reference, tracks, self._config.elongation, opening)
-

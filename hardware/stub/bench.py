@@ -100,7 +100,9 @@ class StubBench:
         elif target in self._arms:
             self._arms[target].inject(fault)
         else:
-            raise InputError(f"there is no {target!r} on the bench; faults can be injected into {', '.join([*self._arms, 'endoscope'])}")
+            raise InputError(
+                f"there is no {target!r} on the bench; faults can be injected into {', '.join([*self._arms, 'endoscope'])}"
+            )
 
     # ------------------------------------------------------------ what the camera sees
 

@@ -8,6 +8,7 @@ opened too, and its lips are joined by seams with damage between 0 and 1.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +75,7 @@ class SheetMesh:
         self._worsen_seams(np.asarray(line), damage)
         path: list[tuple[int, int]] = []
         fixed: set[int] = set()
-        for p, q in zip(line[:-1], line[1:], strict=True):
+        for p, q in itertools.pairwise(line):
             path += self._walk(np.asarray(p, float), np.asarray(q, float), fixed)
         path = self._openable(path)
         if path:
@@ -98,7 +99,9 @@ class SheetMesh:
     def locate(self, point: Array) -> int:
         """The triangle that holds `point` (2,), or -1."""
         a, b, c = (self.rest[self.triangles[:, i]] for i in range(3))
-        inside = (_cross(b - a, point - a) >= -1e-13) & (_cross(c - b, point - b) >= -1e-13) & (_cross(a - c, point - c) >= -1e-13)
+        inside = (
+            (_cross(b - a, point - a) >= -1e-13) & (_cross(c - b, point - b) >= -1e-13) & (_cross(a - c, point - c) >= -1e-13)
+        )
         hits = np.flatnonzero(inside)
         return int(hits[0]) if len(hits) else -1
 
@@ -338,16 +341,22 @@ class SheetMesh:
         if not self.seams:
             return
         at = np.array([self.rest[s.a] for s in self.seams])
-        for i in np.flatnonzero(distance_to_line(at, line) < SEAM_REACH):
-            seam = self.seams[i]
-            seam.damage = 1.0 - (1.0 - seam.damage) * (1.0 - damage)
-            if seam.damage > 0.98:
-                seam.damage = 1.0
-        for seam in self.seams:
-            seam.edge.damage = min(s.damage for s in self.seams if s.edge is seam.edge)
-        for seam in self.seams:
-            if seam.damage >= 1.0:
-                self._lips.update((seam.a, seam.b))
+        for i in np.flatnonzero(distance_to_line(at, line) < SEAM_REACH).tolist():
+            left = (1.0 - self.seams[i].damage) * (1.0 - damage)
+            self._damage_seam(i, 1.0 - left if left > 0.02 else 1.0)
+
+    def tear_seam(self, index: int) -> None:
+        """What seam `index` still held has torn."""
+        self._damage_seam(index, 1.0)
+        self.seams[index].edge.torn = True
+
+    def _damage_seam(self, index: int, damage: float) -> None:
+        """An edge is as damaged as the better held of its ends."""
+        seam = self.seams[index]
+        seam.damage = damage
+        seam.edge.damage = min(s.damage for s in self.seams if s.edge is seam.edge)
+        if damage >= 1.0:
+            self._lips.update((seam.a, seam.b))
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -145,8 +145,10 @@ class Phantom:
 
     def advance(self, tip: Pose | None) -> None:
         """One physics step; `tip` is the gripper's true pose at its end."""
-        empty = np.zeros((0, 3), np.float32)
-        vertices, start, end = np.zeros(0, np.int32), empty, empty
+        empty = np.zeros((0, 3))
+        vertices = np.zeros(0, np.int32)
+        start: Array = empty
+        end: Array = empty
         if self.grip is not None and tip is not None:
             vertices, start = self.grip.vertices, self.grip.target
             end = tip.position + self.grip.offset @ tip.rotation().T
@@ -154,7 +156,7 @@ class Phantom:
                 self._resting = 0
         if self.asleep:
             return
-        self._solver.advance(vertices, start, end, self._step / SUBSTEPS, SUBSTEPS, DAMPING)
+        self._solver.advance(vertices, _f32(start), _f32(end), self._step / SUBSTEPS, SUBSTEPS, DAMPING)
         if self.grip is not None and tip is not None:
             self.grip.target = end
             self._slip(self.grip, tip)
@@ -162,9 +164,11 @@ class Phantom:
         self._resting = self._resting + 1 if fastest < REST_SPEED else 0
 
     def tear(self) -> int:
-        """Tear the tissue across the edge that is stretched most, if beyond the limit; how many tears were made (0 or 1)."""
+        """Tear what is stretched beyond the limit: all such seams, else the one worst edge; how many tears were made."""
         if self.asleep:
             return 0
+        if torn := self._tear_seams():
+            return torn
         strain = self.edge_strain()
         gripped = np.zeros(len(self.mesh.rest), dtype=bool)
         if self.grip is not None:
@@ -201,6 +205,20 @@ class Phantom:
         self._resting = 0
 
     # ---------------------------------------------------------------- inside
+
+    def _tear_seams(self) -> int:
+        """What is left of a partly severed edge is a ligament about one thickness long: it fails when its lips are pulled apart farther."""
+        model, x = self._solver.model, self._solver.state.x
+        if not len(model.seams):
+            return 0
+        apart = np.linalg.norm(x[model.seams[:, 0]] - x[model.seams[:, 1]], axis=1)
+        limit = (self.scene.tissue.tear_stretch - 1.0) * self.scene.tissue.thickness
+        failed = np.flatnonzero((apart > limit) & (model.seam_stiffness > 0.0))
+        for i in failed.tolist():
+            self.mesh.tear_seam(i)
+            model.seam_stiffness[i] = 0.0
+        self.tears += len(failed)
+        return len(failed)
 
     def _crack_end(self, start: Array, end: Array) -> Array:
         """Where a crack from `start` towards `end` stops: at a border or lip nearby, which attracts it, else at `end`."""
@@ -299,6 +317,8 @@ def _random_field(scene: Scene, seed: int) -> Array:
     tissue = scene.tissue
     cell = 0.5e-3
     shape = (int(tissue.height / cell) + 1, int(tissue.width / cell) + 1)
-    noise = gaussian_filter(np.random.default_rng([seed, 71]).standard_normal(shape), tissue.puncture_scale / cell / 2, mode="wrap")
+    noise = gaussian_filter(
+        np.random.default_rng([seed, 71]).standard_normal(shape), tissue.puncture_scale / cell / 2, mode="wrap"
+    )
     noise /= noise.std()
     return np.asarray(tissue.puncture_force * np.maximum(1.0 + tissue.puncture_variation * noise, 0.05))

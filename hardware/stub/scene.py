@@ -28,7 +28,9 @@ class TissueConfig:
     youngs_modulus: float = 60e3  # [Pa]
     density: float = 1070.0  # [kg/m^3]
     bending: float = 2e-7  # [J], isometric bending stiffness
-    puncture_force: float = 0.07  # [N], mean force at which a blade tip goes through (sharp dissection: hundredths to tenths of a newton)
+    puncture_force: float = (
+        0.07  # [N], mean force at which a blade tip goes through (sharp dissection: hundredths to tenths of a newton)
+    )
     puncture_variation: float = 0.45  # relative standard deviation of that force over the sheet
     puncture_scale: float = 6e-3  # [m], over which it varies
     tear_stretch: float = 3.0  # stretch at which tissue tears (mesentery, peritoneum, fascia: 1.8 to 3.2)
@@ -142,7 +144,9 @@ def load_scene(name: str) -> Scene:
         if not path.is_file():
             near = difflib.get_close_matches(name, scene_names(), 1)
             hint = f"did you mean {near[0]}? " if near else ""
-            raise InputError(f"there is no scene named {name!r}; {hint}known scenes: {', '.join(scene_names())}, or give a .toml file")
+            raise InputError(
+                f"there is no scene named {name!r}; {hint}known scenes: {', '.join(scene_names())}, or give a .toml file"
+            )
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -233,7 +237,9 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 def _check(scene: Scene) -> None:
     if scene.tissue.material not in MATERIALS:
-        raise InputError(f"scene {scene.name}: tissue.material is {scene.tissue.material!r}; it must be one of {', '.join(MATERIALS)}")
+        raise InputError(
+            f"scene {scene.name}: tissue.material is {scene.tissue.material!r}; it must be one of {', '.join(MATERIALS)}"
+        )
     for key, (low, high) in _RANGES.items():
         table, name = key.split(".")
         value = getattr(getattr(scene, table), name)
@@ -241,8 +247,12 @@ def _check(scene: Scene) -> None:
             raise InputError(f"scene {scene.name}: {key} is {value:g}; it must lie between {low:g} and {high:g}")
     line = scene.line
     if line.ndim != 2 or line.shape[0] < 2 or line.shape[1] != 2 or len(scene.goal.grasp) != 2:
-        raise InputError(f"scene {scene.name}: goal.line needs at least two points [x, y] and goal.grasp one point [x, y], in metres")
+        raise InputError(
+            f"scene {scene.name}: goal.line needs at least two points [x, y] and goal.grasp one point [x, y], in metres"
+        )
     half = np.array([scene.tissue.width, scene.tissue.height]) / 2
     for point in (*line, np.array(scene.goal.grasp)):
         if (np.abs(point) > half).any():
-            raise InputError(f"scene {scene.name}: the goal's point {point.tolist()} lies off the sheet, whose half size is {half.tolist()} m")
+            raise InputError(
+                f"scene {scene.name}: the goal's point {point.tolist()} lies off the sheet, whose half size is {half.tolist()} m"
+            )

@@ -77,7 +77,7 @@ def _hexagonal(half: Array, step: float) -> Array:
 
 def _border(half: Array, step: float) -> Array:
     """Points along the sheet's outline, corners included."""
-    nu, nv = int(round(2 * half[0] / step)), int(round(2 * half[1] / step))
+    nu, nv = round(2 * half[0] / step), round(2 * half[1] / step)
     u = np.linspace(-half[0], half[0], nu + 1)
     v = np.linspace(-half[1], half[1], nv + 1)[1:-1]
     return np.concatenate(

@@ -26,7 +26,10 @@ class SheetSurface:
 
 @dataclass(frozen=True)
 class BaseSurface:
-    """The rigid bed under the tissue: `positions` (V, 3) float32 [m], left camera frame; `triangles` (T, 3) int32; `texture` (V, 2) float32 [m]."""
+    """The rigid bed under the tissue.
+
+    `positions` (V, 3) float32 [m], left camera frame; `triangles` (T, 3) int32; `texture` (V, 2) float32 [m].
+    """
 
     positions: NDArray[np.float32]
     triangles: NDArray[np.int32]

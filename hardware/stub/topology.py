@@ -12,7 +12,7 @@ IntArray = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class Topology:
-    """`edges` (E, 2), `edge_triangles` (E, 2) (-1 on a border), `hinges` (H, 4) with `hinge_weights` (H, 4) and `hinge_scale` (H,), areas [m^2].
+    """`edges` (E, 2), `edge_triangles` (E, 2), -1 at borders, `hinges` (H, 4) with `hinge_weights` (H, 4), `hinge_scale` (H,).
 
     `edge_share` (E,) is each edge's share of the sheet's area, `vertex_area` (V,) each vertex's.
     """

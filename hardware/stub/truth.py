@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from hardware.interface import Array
 from hardware.stub.cutting import CutEdge
@@ -16,7 +17,7 @@ from hardware.stub.scene import Scene
 from hardware.stub.topology import components
 
 CORRIDOR = 3e-3  # [m]: a cut farther than this from the goal does not count as executing it
-JOINED = 0.3e-3  # [m]: cuts whose ends come this near on the goal leave nothing that could hold
+JOINED = 0.3e-3  # [m]: a third of the finest mesh edge; a sliver thinner than this between two cuts holds nothing
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def measure(phantom: Phantom) -> Truth:
     """The truth about the tissue as it is now."""
     goal = GoalLine(phantom.scene)
     full = [edge for edge in phantom.mesh.cut_edges if edge.damage >= 1.0]
-    cuts = [cut for cut in (_interval(goal, group) for group in _connected(full)) if cut is not None]
+    cuts = [cut for cut in (_interval(goal, group) for group in _neighbouring(_connected(full))) if cut is not None]
     bridges = _bridges(cuts, goal.length)
     covered = _union(cuts)
     inside = sum(max(0.0, min(b, goal.length) - max(a, 0.0)) for a, b in covered)
@@ -129,6 +130,26 @@ def _connected(edges: list[CutEdge]) -> list[list[CutEdge]]:
     return list(gathered.values())
 
 
+def _neighbouring(groups: list[list[CutEdge]]) -> list[list[CutEdge]]:
+    """Connected cuts that come within `JOINED` of each other count as one."""
+    spots = [np.array([_spot(edge, t) for edge in group for t in (0.0, 0.25, 0.5, 0.75, 1.0)]) for group in groups]
+    trees = [cKDTree(spot) for spot in spots]
+    pairs = [
+        (i, j)
+        for i in range(len(groups))
+        for j in range(i)
+        if trees[j].query(spots[i], distance_upper_bound=JOINED)[0].min() < JOINED
+    ]
+    merged: dict[int, list[CutEdge]] = {}
+    for label, group in zip(components(len(groups), np.array(pairs, dtype=np.int32).reshape(-1, 2)), groups, strict=True):
+        merged.setdefault(int(label), []).extend(group)
+    return list(merged.values())
+
+
+def _spot(edge: CutEdge, t: float) -> tuple[float, float]:
+    return (edge.a[0] + t * (edge.b[0] - edge.a[0]), edge.a[1] + t * (edge.b[1] - edge.a[1]))
+
+
 def _interval(goal: GoalLine, edges: list[CutEdge]) -> tuple[float, float] | None:
     """The stretch of the goal along which these joined edges run within the corridor."""
     points = np.array([p for edge in edges for p in (edge.a, edge.b)])
@@ -159,7 +180,7 @@ def _bridges(cuts: list[tuple[float, float]], length: float) -> list[tuple[float
     reachable = [cut for cut in cuts if cut[1] > 0.0 and cut[0] < length]
     if not reachable:
         return [(0.0, length)]
-    bridges = []
+    bridges: list[tuple[float, float]] = []
     here = min(reachable)
     # The fewest changes: from each cut, go on to the one that begins before this one ends and reaches farthest.
     here = max((cut for cut in reachable if cut[0] <= max(here[0], 0.0)), key=lambda cut: cut[1])

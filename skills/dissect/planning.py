@@ -9,6 +9,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hardware.codes import Code
 from hardware.gate import Lease
@@ -57,9 +58,7 @@ class PlanningAgent:
         self.grasped: Grasped | None = None
         self.clear_view = True
 
-    def run(
-        self, lease: Lease, tracked: Callable[[], TrackedGoal | None], segments: Array | None
-    ) -> Steps[DissectOutcome]:
+    def run(self, lease: Lease, tracked: Callable[[], TrackedGoal | None], segments: Array | None) -> Steps[DissectOutcome]:
         """Cut the whole goal, or the corrective `segments` (S, 2, 2) pixels, which then follow the goal as it moves."""
         snips: list[Snip] = []
         try:
@@ -78,7 +77,9 @@ class PlanningAgent:
             missed = [snip for snip in snips if snip.code is not Code.OK]
             if missed and len(missed) == len(snips):
                 return DissectOutcome(missed[-1].code, missed[-1].message, tuple(snips))
-            made = f"{len(snips) - len(missed)} snips made" + (f", {len(missed)} left out: {missed[-1].message}" if missed else "")
+            made = f"{len(snips) - len(missed)} snips made" + (
+                f", {len(missed)} left out: {missed[-1].message}" if missed else ""
+            )
             return DissectOutcome(Code.OK, made, tuple(snips))
         finally:
             self.clear_view = True
@@ -198,7 +199,7 @@ class PlanningAgent:
         near, far = lifted
         share = (1.0 + along[:, 1:]) / 2.0
         points = share * near + (1.0 - share) * far
-        known = np.isfinite(points).all(axis=1)
+        known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
         if known.sum() < max(4, 0.3 * count):
             return None
         across = near - far
@@ -215,7 +216,7 @@ class Path:
     arc: Array
 
     @staticmethod
-    def through(points: Array, across: Array, pixels: Array, known: Array) -> "Path":
+    def through(points: Array, across: Array, pixels: Array, known: NDArray[np.bool_]) -> "Path":
         """Smooth points with gaps: a cubic in the parameter for each coordinate keeps single bad depths from bending the path."""
         t = np.linspace(-1.0, 1.0, len(points))
         degree = 3 if known.sum() > 8 else 1

@@ -18,7 +18,7 @@ from skills.tracking.tracks import Tracks
 class ElongationConfig:
     """The rule's threshold, and when a measurement counts."""
 
-    tau: float = 1.5  # ratio rho from which an edge is severed
+    tau: float = 2.0  # ratio rho from which an edge is severed; counted from the closed cut, strands reach 1.5 soon
     min_confidence: float = 0.2  # of both ends' tracks
     max_unknown: float = 0.25  # share of the edges across the goal
     steepness: float = 8.0  # of the probability around tau, per unit of log rho

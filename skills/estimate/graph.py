@@ -1,4 +1,4 @@
-"""The connectivity graph: keypoints, the edges between neighbours, and which of them are severed (paper, Sec. Tissue Connectivity Estimation)."""
+"""The connectivity graph: keypoints, edges between neighbours, which are severed (paper, Sec. Tissue Connectivity Estimation)."""
 
 from dataclasses import dataclass
 from enum import IntEnum

@@ -170,7 +170,11 @@ class TrackerDIS:
             near = near[np.argsort(apart[k, near], kind="stable")[:3]]
             moved[k] = self._points[k] + np.median(moved[near] - self._points[near], axis=0)
             pending[k] = False
-            if self._hidden_for[k] > c.max_hidden or not self._inside(moved[k : k + 1])[0] or _covered(moved[k : k + 1], tool_mask)[0]:
+            if (
+                self._hidden_for[k] > c.max_hidden
+                or not self._inside(moved[k : k + 1])[0]
+                or _covered(moved[k : k + 1], tool_mask)[0]
+            ):
                 continue
             place, alike = self._search(gray, moved[k], self._last_patches[k], bool(textured[k]))
             if alike >= c.refind_similarity and self._inside(place[None])[0] and not _covered(place[None], tool_mask)[0]:
@@ -189,7 +193,7 @@ class TrackerDIS:
             return at, (1.0 - 0.4 * change / c.max_change if as_flat else 0.0)
         around = patches_at(gray, at[None], c.patch_radius + c.refind_reach)[0]
         _, best, _, (du, dv) = cv2.minMaxLoc(cv2.matchTemplate(around, patch, cv2.TM_CCOEFF_NORMED))
-        return at + [du - c.refind_reach, dv - c.refind_reach], float(best)
+        return at + np.array([du - c.refind_reach, dv - c.refind_reach]), float(best)
 
     def _anchor(self, gray: Image, moved: Array, seen: NDArray[np.bool_]) -> Array:
         """Pull points back onto their template where it is still recognised; where it no longer is, take a new one here.

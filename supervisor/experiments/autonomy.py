@@ -70,7 +70,10 @@ def run_trial(settings: AutonomySettings, seed: int) -> dict[str, Any]:
 
 
 def run_experiment(
-    settings: AutonomySettings, journal: Path, workers: int | None = None, progress: Callable[[dict[str, Any]], None] = lambda trial: None
+    settings: AutonomySettings,
+    journal: Path,
+    workers: int | None = None,
+    progress: Callable[[dict[str, Any]], None] = lambda trial: None,
 ) -> dict[str, Any]:
     """Run what the journal does not hold yet, then summarise.
 
@@ -181,6 +184,8 @@ def _per_attempt(settings: AutonomySettings, trials: list[dict[str, Any]], key: 
     """Mean over trials after each attempt; a trial that ended earlier keeps its last value."""
     means = []
     for number in range(settings.attempts):
-        values = [trial["per_attempt"][min(number, len(trial["per_attempt"]) - 1)][key] for trial in trials if trial["per_attempt"]]
+        values = [
+            trial["per_attempt"][min(number, len(trial["per_attempt"]) - 1)][key] for trial in trials if trial["per_attempt"]
+        ]
         means.append(sum(values) / len(values) if values else float("nan"))
     return means

@@ -47,7 +47,7 @@ def visible_area(bench: StubBench) -> int:
     v, u = np.nonzero(inside)
     if not len(u):
         return 0
-    points = bench.endoscope.camera.unproject(np.column_stack([u, v]).astype(float), rendering.depth[v, u])
+    points = bench.endoscope.camera.unproject(np.column_stack([u, v]).astype(float), rendering.depth[v, u].astype(np.float64))
     table = bench.to_table(points)[:, :2]
     half = np.array([bench.scene.tissue.width, bench.scene.tissue.height]) / 2 - BORDER
     return int((np.abs(table) < half).all(axis=1).sum())

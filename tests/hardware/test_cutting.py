@@ -1,5 +1,7 @@
 """Cutting keeps the mesh a mesh, whatever is cut, and opens it exactly along the line."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -83,7 +85,7 @@ def test_crossing_cuts_make_four_pieces():
 def test_a_closed_cut_makes_a_detached_island():
     mesh = fresh()
     corners = [(-5, -5), (5, -5), (5, 5), (-5, 5), (-5, -5)]
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in itertools.pairwise(corners):
         cut(mesh, a, b)
 
     assert piece_count(mesh) == 2
@@ -92,7 +94,7 @@ def test_a_closed_cut_makes_a_detached_island():
 def test_an_island_can_be_cut_again():
     mesh = fresh()
     test_corners = [(-5, -5), (5, -5), (5, 5), (-5, 5), (-5, -5)]
-    for a, b in zip(test_corners[:-1], test_corners[1:], strict=True):
+    for a, b in itertools.pairwise(test_corners):
         cut(mesh, a, b)
     cut(mesh, (-7, 0.2), (7, 0.2))
 

@@ -1,5 +1,6 @@
 """The tissue behaves like tissue: properties that must hold whatever the parameters."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +36,7 @@ def pulled(phantom: Phantom, distance: float, speed: float = 10e-3, settle: floa
 
 def cut_along(phantom: Phantom, start: float, end: float, y: float = 0.0, snips: int = 6) -> None:
     x = np.linspace(start, end, snips + 1)
-    for a, b in zip(x[:-1], x[1:], strict=True):
+    for a, b in itertools.pairwise(x):
         phantom.cut([(np.array([[a, y], [b, y]]), 1.0)])
 
 
@@ -168,6 +169,23 @@ def test_an_overstretched_attachment_tears_and_is_counted_apart_from_cuts(scene)
     assert truth.tears > 0
     assert in_the_middle == []
     assert any(edge.torn for edge in phantom.mesh.cut_edges)
+
+
+def test_a_ligament_left_by_a_partial_cut_holds_at_first_and_tears_when_pulled_apart(scene):
+    phantom = Phantom(scene, 0, 20.0, STEP)
+    phantom.cut([(np.array([[-0.018, 0.0], [0.018, 0.0]]), 0.9)])
+    pose = grasp_pose(scene)
+    phantom.grasp(pose)
+    attachments = []
+    for i in range(480):
+        phantom.advance(pose.moved(UP_AND_AWAY * 16e-3 * (i + 1) / 480))
+        phantom.tear()
+        if i % 60 == 59:
+            attachments.append(measure(phantom).attachments)
+
+    assert attachments[0] == 1
+    assert attachments[-1] == 0
+    assert phantom.tears > 0
 
 
 def test_the_grip_slips_when_the_load_exceeds_friction(scene):

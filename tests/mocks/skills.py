@@ -1,12 +1,13 @@
 """Scripted skills and a scripted operator: each obeys its protocol and ends as the test says; what ran is kept.
 
-A skill yields once, so that it takes at least one tick, then asks its script at every advance: `running` goes on (moving the arms
-under its lease, cutting if it dissects), `raise` raises, any other word ends it with the outcome of that name.
+A skill yields once (unless `eager`), so that it takes at least one tick, then asks its script at every advance: `running` goes on
+(moving the arms under its lease, cutting if it dissects), `raise` raises, any other word ends it with the outcome of that name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -60,6 +61,7 @@ class ScriptedSkills:
         self.shift = 0.0
         self.lost = False
         self.following = False
+        self.eager = False
 
     def checklist(self) -> Steps[CheckOutcome]:
         """End with `ok` or `failed`."""
@@ -95,7 +97,7 @@ class ScriptedSkills:
         """End with `ok`, or with a code for which one looks, tries again, or ends."""
         self.segments.append(segments)
         codes = {"ok": Code.OK, "look": Code.MOVE_TIMEOUT, "retry": Code.GRASP_EMPTY, "end": Code.BAD_INPUT}
-        return self._run("dissect", {w: lambda c=c: DissectOutcome(c, f"dissect: {c}", ()) for w, c in codes.items()}, lease)
+        return self._run("dissect", {w: partial(DissectOutcome, c, f"dissect: {c}", ()) for w, c in codes.items()}, lease)
 
     def expose(self, lease: Lease) -> Steps[ExposeOutcome]:
         """End with `ok`, or with a code for which one looks again, tries again, or ends."""
@@ -105,7 +107,7 @@ class ScriptedSkills:
         def outcome(code: Code) -> ExposeOutcome:
             return ExposeOutcome(code, f"expose: {code}", Code.EXPOSURE_STEPS_DONE, np.zeros((0, 3)), none, none)
 
-        return self._run("expose", {w: lambda c=c: outcome(c) for w, c in codes.items()}, lease)
+        return self._run("expose", {w: partial(outcome, c) for w, c in codes.items()}, lease)
 
     def estimate(self) -> Steps[ConnectivityGraph]:
         """End with `complete`, `incomplete`, or a code for which one looks again or ends."""
@@ -134,13 +136,14 @@ class ScriptedSkills:
     def retreat(self, lease: Lease) -> Steps[RetreatOutcome]:
         """End with `ok` or `end`."""
         codes = {"ok": Code.OK, "end": Code.MOVE_TIMEOUT}
-        return self._run("retreat", {w: lambda c=c: RetreatOutcome(c, f"retreat: {c}") for w, c in codes.items()}, lease)
+        return self._run("retreat", {w: partial(RetreatOutcome, c, f"retreat: {c}") for w, c in codes.items()}, lease)
 
     def _run(self, step: str, outcomes: Mapping[str, Callable[[], T]], lease: Lease | None = None) -> Steps[T]:
         self.opened.append(step)
         self.begun.append(step)
         try:
-            yield Progress(f"{step} begins")
+            if not self.eager:
+                yield Progress(f"{step} begins")
             while True:
                 word = self.choose(step, ("running", *outcomes, "raise"))
                 if word == "raise":
@@ -193,11 +196,11 @@ class ScriptedApprover:
 
 def goal_seen(shift: float = 0.0, lost: bool = False) -> TrackedGoal:
     """Give `GOAL` as tracked, moved to the right by `shift` [px]."""
-    line = GOAL.polyline + [shift, 0.0]
+    line = GOAL.polyline + np.array([shift, 0.0])
     count = len(line)
     up = np.array([0.0, -8.0])
     return TrackedGoal(
-        0.0, line, line + up, line - up, np.ones(count, dtype=bool), GOAL.grasp + [shift, 0.0], True, lost, float("nan")
+        0.0, line, line + up, line - up, np.ones(count, dtype=bool), GOAL.grasp + np.array([shift, 0.0]), True, lost, float("nan")
     )
 
 

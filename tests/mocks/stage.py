@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import py_trees
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
+from behaviours.board import Key
 from behaviours.services import Services
 from hardware.gate import Decision, SafetyGate
 from tests.mocks.bench import MockBench
 from tests.mocks.skills import GOAL, Choose, ScriptedApprover, ScriptedSkills, script
 
 TICK = 1 / 30  # [s]
+T = TypeVar("T")
+
+
+def put(key: Key[T], value: T) -> None:
+    """Write `key` on the blackboard, as its one writer in the tree would."""
+    py_trees.blackboard.Blackboard.set(key.name, value)
 
 
 class Stage:
@@ -23,6 +30,7 @@ class Stage:
     def __init__(self, choose: Choose | None = None, *, tick: float = TICK, step: float = 0.01, **settings: Any) -> None:
         py_trees.blackboard.Blackboard.clear()
         self.bench = MockBench(step)
+        self.home = self.bench.grasper.pose
         self.decisions: list[Decision] = []
         self.notes: list[tuple[str, dict[str, Any]]] = []
         self.recorder_fault: str | None = None

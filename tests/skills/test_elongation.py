@@ -32,8 +32,8 @@ def graph_for(gap: np.ndarray | float, hidden: list[int] | None = None, grid: Gr
 
 
 def test_rho_is_the_ratio_of_lengths_and_tau_itself_severs() -> None:
-    graph = graph_for(7.0)  # 14 px become 21 px: rho = 1.5 = tau
-    assert graph.elongation[CROSSING] == pytest.approx(1.5)
+    graph = graph_for(14.0)  # 14 px become 28 px: rho = 2 = tau
+    assert graph.elongation[CROSSING] == pytest.approx(2.0)
     assert (graph.state[CROSSING] == EdgeState.SEVERED).all()
     assert graph.probability[CROSSING] == pytest.approx(0.5)
     assert graph.complete
@@ -41,7 +41,7 @@ def test_rho_is_the_ratio_of_lengths_and_tau_itself_severs() -> None:
 
 
 def test_a_goal_that_opens_less_stays_connected() -> None:
-    graph = graph_for(6.9)
+    graph = graph_for(13.9)
     assert graph.uncut.sum() == COUNT
     assert not graph.complete
     assert attachments(graph) == [
@@ -146,3 +146,12 @@ def test_the_order_of_edges_does_not_matter(random: object) -> None:
 def test_tau_of_one_is_refused() -> None:
     with pytest.raises(ValueError, match="tau"):
         ElongationConfig(tau=1.0)
+
+
+def test_a_cut_already_open_at_the_reference_counts_from_the_closed_cut() -> None:
+    open_at_reference = GRID.points.copy()
+    open_at_reference[:, 1] += np.where(GRID.near_side, -10.0, 10.0)
+    graph = estimate_connectivity(GRID, open_at_reference, tracks_with_gap(24.0))
+
+    assert graph.elongation[CROSSING] == pytest.approx((24.0 + GRID.closed_length) / GRID.closed_length)
+    assert graph.complete

@@ -1,0 +1,104 @@
+"""Servoed lines keep to the gate's limits, end where they should, and give refusals back as they are."""
+
+import numpy as np
+import pytest
+
+from hardware.codes import Code
+from hardware.gate import Lease
+from hardware.interface import CUTTER, MoveStatus
+from skills.motion import pause, servo_line, wait
+from tests.mocks.table import Table
+
+TICK = 1 / 30
+
+
+def finish(steps, table: Table):
+    """Run a generator to its end, one tick of bench time at each step."""
+    for _ in range(5000):
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
+        table.bench.advance(TICK)
+    raise AssertionError("the motion did not come to its end")
+
+
+@pytest.fixture
+def table() -> Table:
+    return Table()
+
+
+@pytest.fixture
+def lease(table) -> Lease:
+    return table.lease
+
+
+def test_a_servoed_line_ends_at_its_target(table, lease):
+    target = lease.setpoint_cp(CUTTER).moved(np.array([0.004, 0.0, 0.003]))
+
+    report = finish(servo_line(lease, CUTTER, target, 8e-3, "moving"), table)
+
+    assert report.status is MoveStatus.DONE
+    assert np.linalg.norm(lease.measured_cp(CUTTER).value.position - target.position) < 0.6e-3
+
+
+def test_a_servoed_line_keeps_to_its_speed(table, lease):
+    started = lease.now()
+    target = lease.setpoint_cp(CUTTER).moved(np.array([0.005, 0.0, 0.0]))
+
+    finish(servo_line(lease, CUTTER, target, 5e-3, "moving"), table)
+
+    assert 1.0 <= lease.now() - started < 1.5
+
+
+def test_a_refusal_comes_back_with_its_code(table, lease):
+    target = lease.setpoint_cp(CUTTER).moved(np.array([0.0, 0.0, 1.0]))
+
+    report = finish(servo_line(lease, CUTTER, target, 5e-3, "moving"), table)
+
+    assert report.status is MoveStatus.FAILED
+    assert report.code is Code.WORKSPACE
+
+
+def test_an_arm_that_does_not_follow_is_no_success(table, lease):
+    target = lease.setpoint_cp(CUTTER).moved(np.array([0.003, 0.0, 0.0]))
+    steps = servo_line(lease, CUTTER, target, 5e-3, "moving")
+    stuck = table.bench.arms[CUTTER].pose
+    for _ in range(5000):
+        try:
+            next(steps)
+        except StopIteration as end:
+            report = end.value
+            break
+        table.bench.advance(TICK)
+        table.bench.arms[CUTTER].pose = stuck
+
+    assert report.status is MoveStatus.FAILED
+
+
+def test_a_revoked_lease_ends_the_motion(table, lease):
+    target = lease.setpoint_cp(CUTTER).moved(np.array([0.004, 0.0, 0.0]))
+    steps = servo_line(lease, CUTTER, target, 5e-3, "moving")
+    next(steps)
+    table.bench.advance(TICK)
+    table.gate.revoke(lease)
+
+    report = finish(steps, table)
+
+    assert report.code is Code.LEASE_REVOKED
+
+
+def test_waiting_gives_the_report_of_the_motion(table, lease):
+    table.bench.arms[CUTTER].fail_next(Code.MOVE_NOT_REACHED)
+
+    report = finish(wait(lease.move_cp(CUTTER, lease.setpoint_cp(CUTTER).moved(np.array([0.01, 0, 0]))), "moving"), table)
+
+    assert report.code is Code.MOVE_NOT_REACHED
+
+
+def test_a_pause_lasts_as_long_as_it_says(table, lease):
+    started = lease.now()
+
+    finish(pause(lease, 0.5, "waiting"), table)
+
+    assert 0.5 <= lease.now() - started < 0.6

@@ -1,0 +1,154 @@
+"""Whole sessions on the real stub: recorded, judged, repeatable, and stopped by faults."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from hardware.codes import Code
+from hardware.interface import CUTTER, GRASPER
+from hardware.stub.bench import StubBench
+from hardware.stub.scene import load_scene
+from supervisor import topics
+from supervisor.approvers import AutoApprover
+from supervisor.reading import read
+from supervisor.replay import timeline
+from supervisor.run import RunOptions, RunResult, exit_status, prepare, run
+from supervisor.session import Session, SessionSetup
+from supervisor.stub_goal import drawn_goal
+
+
+def options(scene: Path, folder: Path, **changes) -> RunOptions:
+    values = {
+        "scene": load_scene(str(scene)),
+        "goal_file": None,
+        "agent": "planning",
+        "attempts": 2,
+        "feedback": True,
+        "seed": 4,
+        "record": folder,
+        "in_real_time": False,
+    }
+    return RunOptions(**{**values, **changes})
+
+
+def commands(folder: Path) -> list[dict]:
+    return [entry.payload for entry in read(folder).topic(topics.DECISIONS)]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory) -> tuple[RunResult, Path]:
+    from tests.supervisor.conftest import SMALL
+
+    folder = tmp_path_factory.mktemp("session")
+    scene = folder / "small.toml"
+    scene.write_text(SMALL)
+    chosen = options(scene, folder / "record")
+    return run(chosen, *prepare(chosen), AutoApprover()), folder
+
+
+def test_a_session_ends_with_a_truthful_result(ran):
+    result, folder = ran
+
+    assert {f.name for f in fields(result)} >= {"outcome", "code", "message", "attempts", "attachments", "length_deviation_m", "success"}
+    assert result.code in (Code.COMPLETE, Code.ATTEMPTS_USED)
+    assert 1 <= result.attempts <= 2
+    assert (folder / "record" / "report.html").stat().st_size > 50_000
+
+
+def test_the_record_holds_the_whole_session(ran):
+    result, folder = ran
+    record = read(folder / "record")
+
+    assert record.closed
+    assert record.outcome["code"] == result.code
+    assert len(record.topic(topics.TRUTH)) == result.attempts
+    text = "\n".join(str(line) for line in timeline(record))
+    for word in ("checklist", "approve", "dissect", "expose", "estimate", "retreat"):
+        assert word in text
+
+
+def test_every_cut_in_the_record_was_approved_and_none_came_after_the_end(ran):
+    _, folder = ran
+    decisions = commands(folder / "record")
+
+    cuts = [d for d in decisions if d["arm"] == CUTTER and d["command"] == "move_jaw" and d["target"] == [0.0] and d["accepted"]]
+    assert cuts
+    assert decisions[-1]["command"] == "hold"
+
+
+def test_one_seed_gives_the_same_outcome_and_the_same_commands(ran, tmp_path):
+    first, folder = ran
+    chosen = options(folder / "small.toml", tmp_path / "again")
+
+    second = run(chosen, *prepare(chosen), AutoApprover())
+
+    assert (first.code, first.attachments, first.length_deviation_m) == (second.code, second.attachments, second.length_deviation_m)
+    assert len(commands(tmp_path / "again")) > 100
+    assert commands(folder / "record") == commands(tmp_path / "again")
+
+
+def stopped_by(small_scene: Path, when: float, fault) -> tuple[Session, StubBench, list[float]]:
+    """Run a session in which `fault(bench)` strikes at bench time `when`; also the instants of all motions sent."""
+    bench = StubBench(load_scene(str(small_scene)), 4)
+    sent: list[float] = []
+    for arm in bench.arms.values():
+        for name in ("servo_cp", "move_cp", "move_jaw"):
+            original = getattr(arm, name)
+
+            def spy(*args, original=original):
+                sent.append(bench.now())
+                return original(*args)
+
+            setattr(arm, name, spy)
+    session = Session(bench, SessionSetup(drawn_goal(bench), 4, 1), AutoApprover())
+    struck = [False]
+
+    def strike() -> None:
+        if bench.now() >= when and not struck[0]:
+            struck[0] = True
+            fault(bench)
+
+    bench.observe(strike)
+    return session, bench, sent
+
+
+@pytest.mark.parametrize("when", [3.0, 8.0, 12.0])
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [
+        (lambda bench: bench.inject(CUTTER, "fault"), Code.ARM_FAULT),
+        (lambda bench: bench.inject(GRASPER, "fault"), Code.ARM_FAULT),
+        (lambda bench: bench.press_emergency_stop(), Code.EMERGENCY_STOP),
+    ],
+)
+def test_a_latched_fault_ends_the_session_in_hold_and_nothing_moves_after_it(small_scene, when, fault, code):
+    session, bench, sent = stopped_by(small_scene, when, fault)
+
+    outcome = session.run()
+
+    assert outcome.code is code
+    assert session.gate.lease is None
+    assert max(sent) <= when + 1e-6
+    before = [arm.true_pose().position.copy() for arm in bench.arms.values()]
+    bench.advance(1.0)
+    after = [arm.true_pose().position for arm in bench.arms.values()]
+    assert max(abs(a - b).max() for a, b in zip(after, before, strict=True)) < 1e-6
+
+
+def test_a_frozen_camera_holds_and_the_session_goes_on_when_it_is_back(small_scene):
+    def freeze(bench: StubBench) -> None:
+        bench.inject("endoscope", "stale")
+
+    session, bench, sent = stopped_by(small_scene, 8.0, freeze)
+    bench.observe(lambda: bench.inject("endoscope", "clear") if 10.0 <= bench.now() < 10.01 else None)
+
+    outcome = session.run()
+
+    assert not [t for t in sent if 8.6 < t < 10.0]
+    assert [t for t in sent if t > 10.0]
+    assert outcome.code is not Code.CAMERA_STALE
+
+
+def test_exit_statuses_tell_complete_incomplete_and_stopped_apart():
+    assert [exit_status(code) for code in ("complete", "attempts_used", "arm_fault", "aborted")] == [0, 1, 3, 3]
