@@ -38,7 +38,7 @@ class Guard(Leaf):
         except Exception as error:
             verdict = Verdict(False, True, Code.INTERNAL_ERROR, f"the guard '{self.name}' failed: {error}")
         if verdict.ok:
-            self.feedback_message = verdict.message
+            self.feedback_message = verdict.message or "ok"
             return Status.SUCCESS
         if verdict.latched:
             self.gate.trip(verdict.code, verdict.message)

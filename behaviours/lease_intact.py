@@ -25,5 +25,5 @@ class LeaseIntact(Leaf):
         """Compare what the leaves hold with what the gate says."""
         if self.gate.lease is None and any(self.board.get(key) for key in LEASES):
             return self.wait("holding: the safety gate took the arms away from a running skill")
-        self.feedback_message = ""
+        self.feedback_message = "ok"
         return Status.SUCCESS

@@ -25,6 +25,7 @@ GRIP_RADIUS = 3.5e-3  # [m]
 GRIP_REACH = 2.5e-3  # [m], how far above or below the jaws tissue may lie to be caught
 GRIP_STIFFNESS = 400.0  # [N/m] per vertex
 SLIP_RELEASE = 3e-3  # [m] of sliding after which a vertex has left the jaws
+TEAR_GAUGE = 0.8  # of the fine spacing: the shortest length over which stretch is read
 REST_SPEED = 2e-4  # [m/s]: slower than this everywhere, and the sheet sleeps until something pulls it
 
 
@@ -169,13 +170,16 @@ class Phantom:
             return 0
         if torn := self._tear_seams():
             return torn
-        strain = self.edge_strain()
-        gripped = np.zeros(len(self.mesh.rest), dtype=bool)
+        # Cuts leave edges much shorter than the mesh's; their strain is numerical. Stretch is read over a gauge length, as in a test.
+        gauge = np.maximum(self._solver.model.rest_length, TEAR_GAUGE * self.scene.tissue.fine_spacing)
+        edges, x = self._topology.edges, self.positions
+        stretch = np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) / gauge
         if self.grip is not None:
+            gripped = np.zeros(len(self.mesh.rest), dtype=bool)
             gripped[self.grip.vertices] = True
-        strain[gripped[self._topology.edges].any(axis=1)] = 0.0
-        worst = int(np.argmax(strain))
-        if strain[worst] + 1.0 < self.scene.tissue.tear_stretch:
+            stretch[gripped[edges].any(axis=1)] = 0.0
+        worst = int(np.argmax(stretch))
+        if stretch[worst] < self.scene.tissue.tear_stretch:
             return 0
         a, b = self.mesh.rest[self._topology.edges[worst]]
         middle, along = (a + b) / 2, b - a

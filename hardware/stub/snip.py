@@ -20,7 +20,7 @@ LEAST_DAMAGE = 0.05  # scratches shallower than this leave no mark
 SAMPLE = 0.25e-3  # [m], between the points at which depth is evaluated along the sheet
 DENT_STIFFNESS = 60.0  # [N/m], of an untensioned sheet under a blade tip: the bending and the air of the undermined plane
 DENT_PER_TENSION = 4.0  # [N/m per N/m], of a membrane under tension (2 pi / ln(R/a), R/a about 5)
-ESCAPE = 0.85e-3  # [m], that fully slack tissue of mean toughness escapes at either end of a closing jaw
+ESCAPE = 0.95e-3  # [m], that fully slack tissue of mean toughness escapes at either end of a closing jaw
 ESCAPE_TENSION = 12.0  # [N/m], line tension at which half of that is left
 
 
