@@ -81,6 +81,7 @@ def run(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"the record folder {folder} is already there and not empty; name a new one")
     options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, approve is Approve.PROMPT)
+    start_warp()
     with console.status("preparing the bench (the first run compiles its kernels)"):
         bench, checked = prepare(options)
     rerun = None

@@ -141,6 +141,9 @@ def _prepare_worker() -> None:
 
     import cv2
 
+    from supervisor.warp_start import start_warp
+
+    start_warp()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     logging.disable(logging.WARNING)

@@ -50,7 +50,15 @@ def ran(tmp_path_factory) -> tuple[RunResult, Path]:
 def test_a_session_ends_with_a_truthful_result(ran):
     result, folder = ran
 
-    assert {f.name for f in fields(result)} >= {"outcome", "code", "message", "attempts", "attachments", "length_deviation_m", "success"}
+    assert {f.name for f in fields(result)} >= {
+        "outcome",
+        "code",
+        "message",
+        "attempts",
+        "attachments",
+        "length_deviation_m",
+        "success",
+    }
     assert result.code in (Code.COMPLETE, Code.ATTEMPTS_USED)
     assert 1 <= result.attempts <= 2
     assert (folder / "record" / "report.html").stat().st_size > 50_000
@@ -83,7 +91,11 @@ def test_one_seed_gives_the_same_outcome_and_the_same_commands(ran, tmp_path):
 
     second = run(chosen, *prepare(chosen), AutoApprover())
 
-    assert (first.code, first.attachments, first.length_deviation_m) == (second.code, second.attachments, second.length_deviation_m)
+    assert (first.code, first.attachments, first.length_deviation_m) == (
+        second.code,
+        second.attachments,
+        second.length_deviation_m,
+    )
     assert len(commands(tmp_path / "again")) > 100
     assert commands(folder / "record") == commands(tmp_path / "again")
 

@@ -1,0 +1,106 @@
+"""The planning agent's geometry, and what it does when it cannot see or may not move."""
+
+import numpy as np
+import pytest
+
+from hardware.codes import Code
+from hardware.interface import CUTTER
+from skills.dissect.planning import Path, PlanningAgent, PlanningConfig, retraction_direction
+from skills.grasp import GraspConfig
+from skills.scene.stereo import StereoConfig
+from skills.skill import ImmediateExecutor
+from skills.tracking.tracks import TrackedGoal
+from tests.mocks.table import TICK, Table
+
+
+def straight_path(noise: float = 0.0, missing: int = 0) -> Path:
+    """40 mm along x at 80 mm depth, facing the camera; the near side is up in the image."""
+    x = np.linspace(-0.02, 0.02, 25)
+    rng = np.random.default_rng(0)
+    points = np.column_stack([x, np.zeros(25), np.full(25, 0.08)]) + noise * rng.standard_normal((25, 3))
+    across = np.tile([0.0, -0.004, 0.0], (25, 1))
+    known = np.ones(25, dtype=bool)
+    known[5 : 5 + missing] = False
+    points[~known] = np.nan
+    return Path.through(points, across, np.column_stack([x * 8000 + 320, np.full(25, 240.0)]), known)
+
+
+def goal(lost: bool = False) -> TrackedGoal:
+    line = np.column_stack([np.linspace(200, 440, 12), np.full(12, 240.0)])
+    up = np.array([0.0, -18.0])
+    return TrackedGoal(0.0, line, line + up, line - up, np.full(12, not lost), np.array([320.0, 180.0]), True, lost, float("nan"))
+
+
+def agent() -> PlanningAgent:
+    return PlanningAgent(PlanningConfig(), GraspConfig(), StereoConfig(), ImmediateExecutor())
+
+
+def finish(steps, table: Table):
+    for _ in range(3000):
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
+        table.bench.advance(TICK)
+    raise AssertionError("the agent did not come to its end")
+
+
+def test_a_snip_points_into_the_tissue_and_opens_along_the_path():
+    point, tangent, normal = straight_path().frame_at(0.010, 0.005)
+
+    assert point == pytest.approx([-0.010, 0.0, 0.08], abs=1e-4)
+    assert tangent == pytest.approx([1.0, 0.0, 0.0], abs=1e-3)
+    assert normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-3)
+
+
+def test_missing_and_noisy_depths_do_not_bend_the_path():
+    path = straight_path(noise=0.3e-3, missing=6)
+
+    assert path.length == pytest.approx(0.040, abs=1e-3)
+    assert np.abs(path.points[:, 2] - 0.08).max() < 0.5e-3
+
+
+def test_one_wild_depth_does_not_bend_the_path():
+    x = np.linspace(-0.02, 0.02, 25)
+    points = np.column_stack([x, np.zeros(25), np.full(25, 0.08)])
+    points[12, 2] = 0.09
+    path = Path.through(points, np.tile([0.0, -0.004, 0.0], (25, 1)), np.zeros((25, 2)), np.ones(25, dtype=bool))
+
+    assert np.abs(path.points[:, 2] - 0.08).max() < 0.5e-3
+
+
+def test_retraction_leaves_the_goal_and_rises():
+    direction = retraction_direction(np.array([0.0, -0.009, 0.002]), np.array([0.0, 0.0, -1.0]), np.deg2rad(45.0))
+
+    assert np.linalg.norm(direction) == pytest.approx(1.0)
+    assert direction == pytest.approx([0.0, -np.sqrt(0.5), -np.sqrt(0.5)])
+
+
+@pytest.mark.parametrize("seen", [None, goal(lost=True)])
+def test_a_lost_goal_is_not_cut(seen):
+    table = Table()
+
+    outcome = finish(agent().run(table.lease, lambda: seen, None), table)
+
+    assert outcome.code is Code.GOAL_LOST
+    assert table.bench.motions() == []
+    assert table.bench.holding()
+
+
+def test_without_depth_nothing_is_grasped_or_cut():
+    table = Table()
+
+    outcome = finish(agent().run(table.lease, goal, None), table)
+
+    assert outcome.code is Code.DEPTH_INVALID
+    assert table.bench.motions(CUTTER) == []
+
+
+def test_preempted_in_the_middle_it_leaves_the_arms_holding():
+    table = Table()
+    steps = agent().run(table.lease, goal, None)
+    next(steps)
+
+    steps.close()
+
+    assert table.bench.holding()
