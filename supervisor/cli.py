@@ -74,6 +74,7 @@ def run(
     from supervisor.run import run as run_session
     from supervisor.terminal import TerminalView
     from supervisor.view_rerun import RerunView
+    from supervisor.warp_start import start_warp
 
     console = Console()
     loaded = load_scene(scene)
