@@ -13,7 +13,9 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
 
 from hardware.codes import InputError
 
@@ -95,7 +97,7 @@ def run(
     def ask(question: str) -> str:
         if terminal is not None:
             terminal.pause()
-        return console.input(question)
+        return console.input(question, markup=False)
 
     approver = AutoApprover() if approve is Approve.AUTO else PromptApprover(ask)
     try:
@@ -104,7 +106,7 @@ def run(
         console.print(f"\nInterrupted: both arms hold. Record and report are in {folder}.")
         raise typer.Exit(3) from None
     _write_json(json_file, dataclasses.asdict(result))
-    console.print(f"\n[bold]{result.outcome}[/bold]: {result.message}")
+    console.print(f"\n[bold]{result.outcome}[/bold]: {escape(result.message)}")
     judged = "success" if result.success else "no success"
     strands = f"{result.attachments} attachment{'' if result.attachments == 1 else 's'} left"
     console.print(
@@ -198,7 +200,8 @@ def main() -> None:
         app()
     except InputError as error:
         sentence = str(error).rstrip(".")
-        Console(stderr=True).print(f"[red]dissect:[/red] {sentence[0].lower()}{sentence[1:]}.", highlight=False, soft_wrap=True)
+        said = Text.assemble(("dissect: ", "red"), f"{sentence[0].lower()}{sentence[1:]}.")
+        Console(stderr=True).print(said, soft_wrap=True)
         sys.exit(2)
 
 

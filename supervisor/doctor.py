@@ -17,8 +17,6 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from supervisor.warp_start import start_warp
-
 PACKAGES = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "py_trees", "rich", "typer", "mcap", "rerun-sdk", "torch")
 MIN_PYTHON = (3, 11)
 MIN_DISK = 1e9  # [bytes]
@@ -110,6 +108,8 @@ def _package(name: str) -> Callable[[], Check]:
 def _warp() -> Check:
     import warp as wp
 
+    from supervisor.warp_start import start_warp
+
     start_warp()
     gpus = [f"{device.name} ({device.total_memory / 1e9:.0f} GB)" for device in wp.get_cuda_devices()]
     remedy = "" if gpus else "No GPU, none needed: all runs on the processor."
@@ -118,6 +118,8 @@ def _warp() -> Check:
 
 def _kernel_cache() -> Check:
     import warp as wp
+
+    from supervisor.warp_start import start_warp
 
     start_warp()
     cache = Path(str(wp.config.kernel_cache_dir))

@@ -41,11 +41,12 @@ def motionless(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"polyline": [[250, 240]]}, "at least two points"),
+        ({"polyline": [[250, 240]]}, "at least two points [u, v] are needed"),
         ({"polyline": [[250, 240], [700, 240]]}, "outside the image"),
         ({"polyline": [[250, 10], [390, 10]], "grasp": [320, 60]}, "tissue"),
         ({"polyline": [[250, 240], [float("nan"), 240]]}, "finite"),
-        ({"polyline": [[250, 240], [300, 180], [310, 240], [250, 200]]}, ""),
+        ({"polyline": [[200, 240], [300, 240], [360, 200], [330, 150], [270, 170], [262, 300]]}, "crosses itself"),
+        ({"polyline": [[250, 240], [320, 240], [320, 300]]}, "degrees"),
         ({"image_size": [1280, 720]}, "1280 x 720"),
         ({"polylin": [[1, 2]]}, "polyline"),
     ],
