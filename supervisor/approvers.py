@@ -55,7 +55,8 @@ class PromptApprover:
 
     def _wait(self, proposal: Proposal) -> None:
         try:
-            text = self._ask(f"{proposal.reason}\nApprove this {proposal.kind} goal? [y/N] ")
+            what = "goal" if proposal.kind == "goal" else "corrective goal"
+            text = self._ask(f"{proposal.reason}\nApprove this {what}? [y/N] ")
         except EOFError:
             text = ""
         yes = text.strip().lower() in ("y", "yes")
