@@ -35,11 +35,6 @@ class PromptApprover:
         self._answer: Answer | None = None
         self._current: Proposal | None = None
 
-    @property
-    def waiting(self) -> bool:
-        """Whether a question is open."""
-        return self._current is not None and self._answer is None
-
     def request(self, proposal: Proposal) -> None:
         """Ask for y or n."""
         self._current, self._answer = proposal, None
