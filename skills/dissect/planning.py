@@ -149,12 +149,22 @@ class PlanningAgent:
         reach = BLADE - config.depth
         jaw = float(np.clip(2 * np.arctan((stretch + config.overlap) / 2 / reach), config.least_jaw, config.most_jaw))
         self.clear_view = False
+        try:
+            report = yield from self._close_at(lease, pose, above, jaw, doing)
+        finally:
+            # However the snip ended, the next one needs to see the goal.
+            self.clear_view = True
+        return report, pose
+
+    def _close_at(self, lease: Lease, pose: Pose, above: Pose, jaw: float, doing: str) -> Steps[MoveReport]:
+        """Go above, open, insert, close, come back above; the first motion that fails is the answer."""
+        config = self._config
         report = yield from wait(lease.move_cp(CUTTER, above), doing)
         if report.status is MoveStatus.FAILED:
-            return report, pose
+            return report
         report = yield from wait(lease.move_jaw(CUTTER, jaw), doing)
         if report.status is MoveStatus.FAILED:
-            return report, pose
+            return report
         report = yield from servo_line(lease, CUTTER, pose, config.insertion_speed, doing)
         if report.status is not MoveStatus.FAILED:
             # The cut springs open within a few tenths of a second: the tracker has to watch, though the blades are in its view.
@@ -164,10 +174,7 @@ class PlanningAgent:
             yield from pause(lease, 3 * config.settle, doing)
             self.clear_view = False
         back = yield from wait(lease.move_cp(CUTTER, above), doing)
-        if back.status is MoveStatus.FAILED and report.status is not MoveStatus.FAILED:
-            report = back
-        self.clear_view = True
-        return report, pose
+        return report if report.status is MoveStatus.FAILED else back
 
     # ------------------------------------------------------------ seeing
 

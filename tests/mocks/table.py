@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
 from hardware.codes import Code
 from hardware.gate import Approval, Decision, Lease, Limits, SafetyGate
 from hardware.interface import CUTTER
+from skills.skill import Steps
 from tests.mocks.bench import MockBench
 
 TICK = 1 / 30
+T = TypeVar("T")
 
 
 class Table:
@@ -21,6 +25,17 @@ class Table:
         self.gate = SafetyGate(self.bench, limits or Limits(), self.decisions.append)
         self.lease: Lease = self.gate.grant("dissect")
         self.bench.advance(TICK)
+
+    def finish(self, steps: Steps[T]) -> T:
+        """Run a skill's generator to its end, a tick of bench time at each step, and give its outcome."""
+        for _ in range(5000):
+            try:
+                next(steps)
+            except StopIteration as end:
+                outcome: T = end.value
+                return outcome
+            self.bench.advance(TICK)
+        raise AssertionError("the steps did not come to their end")
 
     def servo(self, arm: str, *offset_mm: float) -> Code:
         """Servo `arm` by an offset [mm] from where it is told to be."""

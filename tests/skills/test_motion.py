@@ -7,20 +7,7 @@ from hardware.codes import Code
 from hardware.gate import Lease
 from hardware.interface import CUTTER, MoveStatus
 from skills.motion import pause, servo_line, wait
-from tests.mocks.table import Table
-
-TICK = 1 / 30
-
-
-def finish(steps, table: Table):
-    """Run a generator to its end, one tick of bench time at each step."""
-    for _ in range(5000):
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
-        table.bench.advance(TICK)
-    raise AssertionError("the motion did not come to its end")
+from tests.mocks.table import TICK, Table
 
 
 @pytest.fixture
@@ -36,7 +23,7 @@ def lease(table) -> Lease:
 def test_a_servoed_line_ends_at_its_target(table, lease):
     target = lease.setpoint_cp(CUTTER).moved(np.array([0.004, 0.0, 0.003]))
 
-    report = finish(servo_line(lease, CUTTER, target, 8e-3, "moving"), table)
+    report = table.finish(servo_line(lease, CUTTER, target, 8e-3, "moving"))
 
     assert report.status is MoveStatus.DONE
     assert np.linalg.norm(lease.measured_cp(CUTTER).value.position - target.position) < 0.6e-3
@@ -46,7 +33,7 @@ def test_a_servoed_line_keeps_to_its_speed(table, lease):
     started = lease.now()
     target = lease.setpoint_cp(CUTTER).moved(np.array([0.005, 0.0, 0.0]))
 
-    finish(servo_line(lease, CUTTER, target, 5e-3, "moving"), table)
+    table.finish(servo_line(lease, CUTTER, target, 5e-3, "moving"))
 
     assert 1.0 <= lease.now() - started < 1.5
 
@@ -54,7 +41,7 @@ def test_a_servoed_line_keeps_to_its_speed(table, lease):
 def test_a_refusal_comes_back_with_its_code(table, lease):
     target = lease.setpoint_cp(CUTTER).moved(np.array([0.0, 0.0, 1.0]))
 
-    report = finish(servo_line(lease, CUTTER, target, 5e-3, "moving"), table)
+    report = table.finish(servo_line(lease, CUTTER, target, 5e-3, "moving"))
 
     assert report.status is MoveStatus.FAILED
     assert report.code is Code.WORKSPACE
@@ -83,7 +70,7 @@ def test_a_revoked_lease_ends_the_motion(table, lease):
     table.bench.advance(TICK)
     table.gate.revoke(lease)
 
-    report = finish(steps, table)
+    report = table.finish(steps)
 
     assert report.code is Code.LEASE_REVOKED
 
@@ -91,7 +78,7 @@ def test_a_revoked_lease_ends_the_motion(table, lease):
 def test_waiting_gives_the_report_of_the_motion(table, lease):
     table.bench.arms[CUTTER].fail_next(Code.MOVE_NOT_REACHED)
 
-    report = finish(wait(lease.move_cp(CUTTER, lease.setpoint_cp(CUTTER).moved(np.array([0.01, 0, 0]))), "moving"), table)
+    report = table.finish(wait(lease.move_cp(CUTTER, lease.setpoint_cp(CUTTER).moved(np.array([0.01, 0, 0]))), "moving"))
 
     assert report.code is Code.MOVE_NOT_REACHED
 
@@ -99,6 +86,6 @@ def test_waiting_gives_the_report_of_the_motion(table, lease):
 def test_a_pause_lasts_as_long_as_it_says(table, lease):
     started = lease.now()
 
-    finish(pause(lease, 0.5, "waiting"), table)
+    table.finish(pause(lease, 0.5, "waiting"))
 
     assert 0.5 <= lease.now() - started < 0.6

@@ -9,7 +9,7 @@ from skills.expose.naive import ExposureNaive, NaiveConfig
 from skills.grasp import Grasped
 from skills.scene.stereo import StereoConfig
 from skills.skill import ImmediateExecutor
-from tests.mocks.table import TICK, Table
+from tests.mocks.table import Table
 from tests.skills.test_planning import goal
 
 
@@ -23,13 +23,7 @@ def finish(table: Table, tracked, grasped):
     park = table.lease.setpoint_cp(CUTTER)
     skill = ExposureNaive(NaiveConfig(), StereoConfig(), ImmediateExecutor())
     steps = skill.run(table.lease, tracked, grasped, park, taken)
-    for _ in range(3000):
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
-        table.bench.advance(TICK)
-    raise AssertionError("the exposure did not come to its end")
+    return table.finish(steps)
 
 
 def test_without_a_grasp_nothing_is_pulled():

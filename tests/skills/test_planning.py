@@ -10,7 +10,7 @@ from skills.grasp import GraspConfig
 from skills.scene.stereo import StereoConfig
 from skills.skill import ImmediateExecutor
 from skills.tracking.tracks import TrackedGoal
-from tests.mocks.table import TICK, Table
+from tests.mocks.table import Table
 
 
 def straight_path(noise: float = 0.0, missing: int = 0) -> Path:
@@ -33,16 +33,6 @@ def goal(lost: bool = False) -> TrackedGoal:
 
 def agent() -> PlanningAgent:
     return PlanningAgent(PlanningConfig(), GraspConfig(), StereoConfig(), ImmediateExecutor())
-
-
-def finish(steps, table: Table):
-    for _ in range(3000):
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
-        table.bench.advance(TICK)
-    raise AssertionError("the agent did not come to its end")
 
 
 def test_a_snip_points_into_the_tissue_and_opens_along_the_path():
@@ -80,7 +70,7 @@ def test_retraction_leaves_the_goal_and_rises():
 def test_a_lost_goal_is_not_cut(seen):
     table = Table()
 
-    outcome = finish(agent().run(table.lease, lambda: seen, None), table)
+    outcome = table.finish(agent().run(table.lease, lambda: seen, None))
 
     assert outcome.code is Code.GOAL_LOST
     assert table.bench.motions() == []
@@ -90,10 +80,22 @@ def test_a_lost_goal_is_not_cut(seen):
 def test_without_depth_nothing_is_grasped_or_cut():
     table = Table()
 
-    outcome = finish(agent().run(table.lease, goal, None), table)
+    outcome = table.finish(agent().run(table.lease, goal, None))
 
     assert outcome.code is Code.DEPTH_INVALID
     assert table.bench.motions(CUTTER) == []
+
+
+def test_after_a_refused_snip_the_goal_is_watched_again():
+    table = Table()
+    cutting = agent()
+    outside = straight_path()
+    far = Path(outside.points + np.array([0.5, 0.0, 0.0]), outside.across, outside.pixels, outside.arc)
+
+    report, _ = table.finish(cutting._snip(table.lease, far, 0.02, 0.005, "snip"))
+
+    assert report.code is Code.WORKSPACE
+    assert cutting.clear_view
 
 
 def test_preempted_in_the_middle_it_leaves_the_arms_holding():
