@@ -178,12 +178,14 @@ def measure(seconds: float) -> dict[str, object]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, required=True, help="file to write the figures to")
+    parser.add_argument("--json", type=Path, help="write the figures to this file")
     parser.add_argument("--seconds", type=float, default=20.0, help="how long to measure (default 20)")
     options = parser.parse_args()
     figures = measure(options.seconds)
-    options.json.write_text(json.dumps(figures, indent=2) + "\n")
-    print(json.dumps(figures, indent=2))
+    text = json.dumps(figures, indent=2)
+    if options.json is not None:
+        options.json.write_text(text + "\n")
+    print(text)
 
 
 if __name__ == "__main__":
