@@ -203,7 +203,9 @@ def ending(record: SessionRecord) -> Ending:
     headline = str(outcome.get("outcome") or code or "ended").replace("_", " ").capitalize()
     if code == Code.COMPLETE:
         if outcome.get("success") is False:
-            return Ending("fair", headline, f"{sentence} The bench's truth disagrees: see the figures below.".strip())
+            return Ending(
+                "fair", headline, f"{sentence.rstrip('.')}. The bench's truth disagrees: see the figures below.".lstrip(". ")
+            )
         return Ending("good", headline, sentence)
     return Ending("bad" if code in STOPPED else "fair", headline, sentence)
 

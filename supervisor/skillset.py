@@ -71,7 +71,6 @@ class SessionSkills:
         self._due = -np.inf
         self._park: Pose | None = None
         self.frame: Frame | None = None
-        self.exposure: ExposeOutcome | None = None
 
     def checklist(self) -> Steps[CheckOutcome]:
         """Arms, camera, calibration, limits and disk; remembers where the scissors waited as the place to park them."""
@@ -120,9 +119,7 @@ class SessionSkills:
     def expose(self, lease: Lease) -> Steps[ExposeOutcome]:
         """The naive straight pull, with a reference image (t_d) before it."""
         park = self._park or lease.measured_cp(CUTTER).value
-        outcome = yield from self._exposure.run(lease, self.tracked, self._agent.grasped, park, self._mark_reference)
-        self.exposure = outcome
-        return outcome
+        return (yield from self._exposure.run(lease, self.tracked, self._agent.grasped, park, self._mark_reference))
 
     def estimate(self) -> Steps[ConnectivityGraph]:
         """Judge every edge of the keypoint grid from its elongation since the reference."""
