@@ -48,7 +48,11 @@ class Code(StrEnum):
     GRASP_EMPTY = "grasp_empty"
     GRASP_SLIPPED = "grasp_slipped"
     GOAL_LOST = "goal_lost"
+    SURFACE_INVALID = "surface_invalid"
     EXPOSURE_STEPS_DONE = "exposure_steps_done"
+    EXPOSURE_SEPARATED = "exposure_separated"
+    EXPOSURE_INFEASIBLE = "exposure_infeasible"
+    SMOOTHING_INFEASIBLE = "smoothing_infeasible"
     TOO_MANY_UNKNOWN = "too_many_unknown"
     NO_CANDIDATE = "no_candidate"
     # Input

@@ -28,10 +28,15 @@ class GraspConfig:
 
 @dataclass(frozen=True)
 class Grasped:
-    """Tissue in the jaws: the pose `origin` at which they closed and the surface `normal` (3,) there, towards the camera."""
+    """Tissue in the jaws: the pose `origin` at which they closed and the surface `normal` (3,) there, towards the camera.
+
+    `test_tension` [N] is what the test pull of `test_pull` [m] along the normal met: it tells soft tissue from stiff.
+    """
 
     origin: Pose
     normal: Array
+    test_pull: float = 0.0
+    test_tension: float = 0.0
 
 
 def take(lease: Lease, point: Array, normal: Array, away: Array, config: GraspConfig) -> Steps[tuple[MoveReport, Grasped | None]]:
@@ -65,4 +70,4 @@ def take(lease: Lease, point: Array, normal: Array, away: Array, config: GraspCo
     if not lease.tension() >= config.least_tension:
         found = f"a pull of {config.test_pull * 1e3:.0f} mm met {lease.tension():.2f} N"
         return MoveReport(MoveStatus.FAILED, Code.GRASP_EMPTY, f"the grasper closed but holds nothing: {found}"), None
-    return report, Grasped(origin, normal)
+    return report, Grasped(origin, normal, config.test_pull, lease.tension())

@@ -30,9 +30,12 @@ def pause(lease: Lease, duration: float, doing: str) -> Steps[None]:
         yield Progress(doing)
 
 
-def servo_line(lease: Lease, arm: str, target: Pose, speed: float, doing: str) -> Steps[MoveReport]:
-    """Move `arm` straight to `target` at `speed` [m/s], one short step a tick, turning evenly on the way."""
-    start = lease.setpoint_cp(arm)
+def servo_line(lease: Lease, arm: str, target: Pose, speed: float, doing: str, start: Pose | None = None) -> Steps[MoveReport]:
+    """Move `arm` straight to `target` at `speed` [m/s], one short step a tick, turning evenly on the way.
+
+    A motion that continues another one begins at `start`, where that one was sent: the setpoint lags behind by the arm's latency.
+    """
+    start = start or lease.setpoint_cp(arm)
     travel = float(np.linalg.norm(target.position - start.position))
     turning = start.angle_to(target)
     fraction, last = 0.0, lease.now()

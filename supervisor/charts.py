@@ -1,4 +1,4 @@
-"""The pictures of a report as inline SVG, made by hand: overlays on the endoscope's image, time line, figures per attempt.
+"""The pictures of a report as inline SVG, made by hand: overlays on the endoscope's image, time line, figures per attempt, curves.
 
 Vector graphics: sharp on paper, no scripts, no files beside the report.
 """
@@ -135,20 +135,33 @@ def _trace(trace: Trace, y: float, height: float, x: Any) -> list[str]:
     def down(value: float) -> float:
         return y + height * (1 - max(value, 0.0) / top)
 
-    runs: list[list[str]] = [[]]
-    for time, value in zip(trace.times, trace.values, strict=True):
-        if math.isfinite(value):
-            runs[-1].append(f"{x(time):.1f},{down(value):.1f}")
-        elif runs[-1]:
-            runs.append([])
+    points = [(x(time), down(value)) for time, value in zip(trace.times, trace.values, strict=True)]
     right = WIDTH - 16
     return [
         rule((LEFT, y + height), (right, y + height), FAINT),
         rule((LEFT, down(trace.limit)), (right, down(trace.limit)), "#c8372d", dash="5 4"),
         text(LEFT - 10, y + height / 2 + 4, trace.name, anchor="end"),
         text(right, down(trace.limit) - 4, f"refused above {trace.limit:g}", anchor="end", colour="#c8372d", size=10),
-        *(f'<polyline points="{" ".join(run)}" fill="none" stroke="{INK}" stroke-width="1.4"/>' for run in runs if run),
+        *_curve(points, INK, 1.4),
     ]
+
+
+def _curve(points: Iterable[tuple[float, float]], colour: str, thick: float) -> list[str]:
+    """Join points; a gap where one is not finite, and a dot for one that stands alone."""
+    runs: list[list[tuple[float, float]]] = [[]]
+    for point in points:
+        if all(math.isfinite(value) for value in point):
+            runs[-1].append(point)
+        elif runs[-1]:
+            runs.append([])
+    parts = []
+    for run in runs:
+        if len(run) == 1:
+            parts.append(f'<circle cx="{run[0][0]:.1f}" cy="{run[0][1]:.1f}" r="{thick:g}" fill="{colour}"/>')
+        elif run:
+            line = " ".join(f"{u:.1f},{v:.1f}" for u, v in run)
+            parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="{thick:g}"/>')
+    return parts
 
 
 def figures(
@@ -180,6 +193,55 @@ def figures(
             parts.append(text(x + thick / 2, low - tall - 4, f"{number:.3g}", anchor="middle", size=10.5))
     at = 34.0
     for name, colour, _ in series:
+        parts.append(box(at, height - 15, 10, 10, colour))
+        parts.append(text(at + 15, height - 6, name, colour=FAINT))
+        at += 24 + 6.4 * len(name)
+    return _svg(width, height, parts, title)
+
+
+def curves(
+    title: str,
+    unit: str,
+    series: Iterable[tuple[str, str, Sequence[float | None]]],
+    limit: tuple[str, float] | None = None,
+    end: tuple[str, str, float] | None = None,
+) -> str:
+    """Draw curves over steps, from 1: `series` are `(name, colour, values)`, a missing value leaves a gap.
+
+    `limit` is `(what it says, value)`; `end` marks `(name, colour, value)` at the last step.
+    """
+    drawn = [(n, c, [math.nan if v is None else float(v) for v in values]) for n, c, values in series]
+    width, height, low, high, left = 300, 210, 168, 34, 50
+    seen = [v for *_, values in drawn for v in values if math.isfinite(v)]
+    seen += [0.0, *([] if limit is None else [limit[1]]), *([] if end is None else [end[2]])]
+    span = max(max(seen) - min(seen), 1e-9)
+    bottom, top = min(seen) - 0.06 * span * (min(seen) < 0), max(seen) + 0.08 * span
+    steps = max([1, *(len(values) for *_, values in drawn)])
+
+    def x(step: float) -> float:
+        return left + 6 + (width - left - 14) * (step - 1) / max(steps - 1, 1)
+
+    def y(value: float) -> float:
+        return low - (low - high) * (value - bottom) / (top - bottom)
+
+    parts = [text(0, 14, title, weight=600), text(width, 14, unit, anchor="end", colour=FAINT)]
+    raster = ticks(top - bottom, 4)[1]
+    for k in range(math.ceil(bottom / raster), math.floor(top / raster) + 1):
+        parts.append(rule((left, y(k * raster)), (width, y(k * raster)), FAINT if k == 0 else GRID))
+        parts.append(text(left - 6, y(k * raster) + 4, f"{round(k * raster, 9):g}", anchor="end", colour=FAINT))
+    parts.append(text(left - 6, low + 16, "step", anchor="end", colour=FAINT))
+    for step in [1, *(int(t) for t in ticks(steps, 4)[1:] if t % 1 == 0 and t > 1)]:
+        parts.append(text(x(step), low + 16, f"{step}", anchor="middle", colour=FAINT))
+    if limit is not None:
+        parts.append(rule((left, y(limit[1])), (width, y(limit[1])), "#c8372d", dash="5 4"))
+        parts.append(text(width, y(limit[1]) + 13, limit[0], anchor="end", colour="#c8372d", size=10))
+    for _, colour, values in drawn:
+        parts += _curve([(x(k + 1), y(value)) for k, value in enumerate(values)], colour, 2.0)
+    if end is not None:
+        parts.append(f'<circle cx="{x(steps):.1f}" cy="{y(end[2]):.1f}" r="4" fill="{end[1]}"/>')
+        parts.append(text(x(steps) - 8, y(end[2]) + 4, f"{end[2]:.5g}", anchor="end", size=10.5))
+    at = float(left)
+    for name, colour in [*((name, colour) for name, colour, _ in drawn), *([] if end is None else [end[:2]])]:
         parts.append(box(at, height - 15, 10, 10, colour))
         parts.append(text(at + 15, height - 6, name, colour=FAINT))
         at += 24 + 6.4 * len(name)

@@ -37,6 +37,14 @@ class Agent(StrEnum):
     PLANNING = "planning"
 
 
+class Expose(StrEnum):
+    """How the tissue is pulled to see the cut; the same words as `supervisor.skillset.ExposureKind`, without what it imports."""
+
+    OPTIMAL = "optimal"
+    NAIVE = "naive"
+    GOAL_NORMAL = "goal-normal"
+
+
 class Approve(StrEnum):
     """Who approves goals."""
 
@@ -53,6 +61,10 @@ class ViewKind(StrEnum):
 
 
 SceneOption = Annotated[str, typer.Option(help="Name of a scene, or a .toml file.")]
+ExposeOption = Annotated[
+    Expose,
+    typer.Option(help="Plan the pull (optimal), or pull straight: from the goal's middle to the grasp, or across the goal."),
+]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file.")]
 
 
@@ -61,6 +73,8 @@ def run(
     scene: SceneOption = "silicone",
     goal: Annotated[Path | None, typer.Option(help="Goal file (JSON); default: what an expert would draw on the scene.")] = None,
     agent: Annotated[Agent, typer.Option(help="Dissection agent.")] = Agent.PLANNING,
+    expose: ExposeOption = Expose.OPTIMAL,
+    device: Annotated[str, typer.Option(help="Where the exposure is planned: auto, cpu, or a GPU such as cuda:0.")] = "auto",
     attempts: Annotated[int, typer.Option(min=1, max=20, help="Most attempts.")] = 3,
     feedback: Annotated[bool, typer.Option(help="Expose, estimate and replan after each attempt.")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Gives every random draw.")] = 0,
@@ -74,6 +88,7 @@ def run(
     from supervisor.approvers import AutoApprover, PromptApprover
     from supervisor.run import RunOptions, exit_status, prepare
     from supervisor.run import run as run_session
+    from supervisor.skillset import ExposureKind
     from supervisor.terminal import TerminalView
     from supervisor.view_rerun import RerunView
     from supervisor.warp_start import start_warp
@@ -83,7 +98,8 @@ def run(
     folder = record or _new_folder(loaded.name, seed)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"the record folder {folder} is already there and not empty; name a new one")
-    options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, approve is Approve.PROMPT)
+    kind, asked = ExposureKind(expose.value), approve is Approve.PROMPT
+    options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, asked, kind, device)
     start_warp()
     with console.status("preparing the bench (the first run compiles its kernels)"):
         bench, checked = prepare(options)
@@ -152,6 +168,7 @@ def doctor(json_file: JsonOption = None) -> None:
 def autonomy(
     scene: SceneOption = "silicone",
     agent: Annotated[Agent, typer.Option(help="Dissection agent.")] = Agent.PLANNING,
+    expose: ExposeOption = Expose.OPTIMAL,
     feedback: Annotated[bool, typer.Option(help="With or without feedback.")] = True,
     attempts: Annotated[int, typer.Option(min=1, max=20)] = 3,
     trials: Annotated[int, typer.Option(min=1)] = 40,
@@ -164,7 +181,7 @@ def autonomy(
     from supervisor.experiments.autonomy import AutonomySettings, run_experiment
 
     load_scene(scene)
-    settings = AutonomySettings(scene, agent.value, feedback, attempts, trials, seed)
+    settings = AutonomySettings(scene, agent.value, feedback, attempts, trials, seed, expose.value)
     journal = (json_file or Path("autonomy.json")).with_suffix(".trials.jsonl")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     console = Console()
@@ -191,6 +208,42 @@ def autonomy(
         f"{figures['attachments']['mean']:.2f} attachments a trial, false done {figures['false_done_rate']:.1%}, "
         f"{figures['wall_s']:.0f} s"
     )
+
+
+@experiment.command()
+def exposure(
+    scene: SceneOption = "chicken",
+    trials: Annotated[int, typer.Option(min=1, help="Seeds; on each, every method pulls.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others count up.")] = 0,
+    tilt: Annotated[float | None, typer.Option(help="Look from this angle [degrees] from the vertical.")] = None,
+    ablation: Annotated[bool, typer.Option("--ablation", help="Pull with the controller's parts left out, too.")] = False,
+    pictures: Annotated[Path | None, typer.Option(help="Folder for pictures of the first seeds.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """How much of the cut is seen, and what is judged from it (paper, Evaluation of Exposure Maximization Control)."""
+    from supervisor.experiments.exposure import ExposureSettings, run_experiment, variants
+    from supervisor.experiments.exposure_summary import tables
+    from supervisor.plain import plain
+
+    settings = ExposureSettings(scene, trials, seed, ablation, tilt)
+    settings.load()
+    journal = (json_file or Path("exposure.json")).with_suffix(".trials.jsonl")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    console = Console()
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("pulls", total=trials * len(variants(ablation)))
+
+        def progress(run: dict[str, Any]) -> None:
+            bar.update(task, advance=1, description=f"pulls (seed {run['seed']}, {run['method'].replace('_', ' ')})")
+
+        try:
+            figures = run_experiment(settings, journal, workers, progress, pictures)
+        except KeyboardInterrupt:
+            console.print(f"Interrupted. The pulls that ended are in {journal}; the same command goes on after them.")
+            raise typer.Exit(3) from None
+    _write_json(json_file, plain(figures))
+    console.print(*tables(figures), f"{figures['wall_s']:.0f} s", sep="\n")
 
 
 def main() -> None:

@@ -17,7 +17,19 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-PACKAGES = ("numpy", "scipy", "warp-lang", "opencv-python-headless", "py_trees", "rich", "typer", "mcap", "rerun-sdk", "torch")
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "warp-lang",
+    "opencv-python-headless",
+    "casadi",
+    "py_trees",
+    "rich",
+    "typer",
+    "mcap",
+    "rerun-sdk",
+    "torch",
+)
 MIN_PYTHON = (3, 11)
 MIN_DISK = 1e9  # [bytes]
 MIN_MEMORY = 2e9  # [bytes]
@@ -41,6 +53,7 @@ def diagnose(folder: Path = Path()) -> list[Check]:
         ("Python", _python),
         *((package, _package(package)) for package in PACKAGES),
         ("Warp devices", _warp),
+        ("exposure planning", _planning),
         ("kernel cache", _kernel_cache),
         ("stereo matching", _stereo),
         ("optical flow", _flow),
@@ -114,6 +127,17 @@ def _warp() -> Check:
     gpus = [f"{device.name} ({device.total_memory / 1e9:.0f} GB)" for device in wp.get_cuda_devices()]
     remedy = "" if gpus else "No GPU, none needed: all runs on the processor."
     return Check("Warp devices", True, ", ".join(["processor", *gpus]), remedy)
+
+
+def _planning() -> Check:
+    import warp as wp
+
+    from skills.expose.xpbd import choose_device
+    from supervisor.warp_start import start_warp
+
+    start_warp()
+    device = choose_device("auto")
+    return Check("exposure planning", True, f"on {device} ({'the processor' if device == 'cpu' else wp.get_device(device).name})")
 
 
 def _kernel_cache() -> Check:

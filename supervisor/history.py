@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 from hardware.codes import Code
@@ -62,6 +63,25 @@ class AttemptSummary:
     unknown: int
     estimate: str
     truth: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class ExposureSummary:
+    """One pull of the tissue, in which attempt and when [s]; `message` and `stopped_by` are empty if it never came to its end.
+
+    `series` are values by step, of those that the record holds, None where unknown: of the controller camera, deform, opening [px^2],
+    expected_tension [N], separation [SD], agreement and feasible; measured tension [N] and strain. `area` [px] of the opened cut is the
+    bench's truth at the end of the attempt, where this was its last exposure.
+    """
+
+    attempt: int
+    start: float
+    end: float
+    steps: int
+    message: str
+    stopped_by: str
+    series: dict[str, list[float | None]]
+    area: float | None
 
 
 @dataclass(frozen=True)
@@ -178,6 +198,56 @@ def attempts(record: SessionRecord) -> list[AttemptSummary]:
             )
         )
     return found
+
+
+def exposures(record: SessionRecord) -> list[ExposureSummary]:
+    """Every exposure that was begun, in order; records that are older than the controller hold but their ends."""
+    planned: dict[int, list[Entry]] = {}
+    for entry in record.topic(topics.EXPOSURE):
+        planned.setdefault(entry.payload["exposure"], []).append(entry)
+    told = list(record.topic(topics.EXPOSED))
+    begun = list(planned.values())
+    found = []
+    for k, steps in enumerate(begun):
+        until = begun[k + 1][0].stamp if k + 1 < len(begun) else math.inf
+        ended = next((e for e in told if steps[-1].stamp <= e.stamp < until), None)
+        if ended is not None:
+            told.remove(ended)
+        found.append((steps, ended))
+    rounds = attempts(record)
+    summaries = [_exposure(steps, ended, rounds) for steps, ended in [*found, *(([], e) for e in told)]]
+    summaries.sort(key=lambda s: s.end)
+    last = {s.attempt: k for k, s in enumerate(summaries)}
+    truths = {r.number: r.truth.get("visible_area_px") for r in rounds}
+    return [replace(s, area=truths.get(s.attempt) if last[s.attempt] == k else None) for k, s in enumerate(summaries)]
+
+
+def _exposure(steps: list[Entry], ended: Entry | None, rounds: list[AttemptSummary]) -> ExposureSummary:
+    """One exposure from its planned steps and its end, either of which may be missing."""
+    entries = [*steps, *([] if ended is None else [ended])]
+    start, end = entries[0].stamp, entries[-1].stamp
+    told = {} if ended is None else ended.payload
+    views = [entry.payload for entry in steps]
+    # What is planned when the pull already ends is not made any more.
+    count = int(told.get("steps", len(views)))
+    names = {"camera": "camera", "deform": "deform", "opening": "opening", "expected_tension": "tension"}
+    series = {name: [view.get(key) for view in views[:count]] for name, key in names.items()}
+    plan, forecast = told.get("planned") or {}, told.get("forecast") or {}
+    # A step is planned before it is known how far apart it brings the hypotheses: that is seen with the next one.
+    series["separation"] = forecast.get("separation") or [view.get("separation") for view in views[1 : count + 1]]
+    series["agreement"] = plan.get("agreement") or plan.get("indecision") or []  # the outcome's word for it
+    series["feasible"] = plan.get("feasible") or []
+    series |= {name: told.get(name) or [] for name in ("tension", "strain")}
+    return ExposureSummary(
+        attempt=max((r.number for r in rounds if r.start <= start), default=0),
+        start=start,
+        end=end,
+        steps=count,
+        message=str(told.get("message", "")),
+        stopped_by=str(told.get("stopped_by", "")),
+        series={name: values for name, values in series.items() if values},
+        area=None,
+    )
 
 
 def max_attempts(record: SessionRecord) -> int:

@@ -1,9 +1,10 @@
-"""What a live view keeps from one tick to the next: the last refusals and the last lines of the log."""
+"""What a live view keeps from one tick to the next: the last refusals, the last lines of the log, where an exposure stands."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from supervisor.exposing import in_words, is_exposing
 from supervisor.snapshot import TickSnapshot
 
 KEPT_REFUSALS = 4
@@ -24,10 +25,14 @@ class Refused:
 
 @dataclass(frozen=True)
 class Recent:
-    """The newest last: refusals (the same one in a row counted, not repeated), and log lines with their bench time."""
+    """The newest last: refusals (the same one in a row counted, not repeated), and log lines with their bench time.
+
+    `exposing` is what the exposure controller expects of its newest step, in words; empty while nothing is pulled.
+    """
 
     refusals: tuple[Refused, ...] = ()
     lines: tuple[tuple[float, str], ...] = ()
+    exposing: str = ""
 
     def after(self, snapshot: TickSnapshot) -> Recent:
         """Give what is kept once `snapshot` has been seen."""
@@ -42,4 +47,6 @@ class Recent:
             else:
                 refusals.append(new)
         lines = (*self.lines, *((snapshot.stamp, text) for text in snapshot.log))
-        return Recent(tuple(refusals[-KEPT_REFUSALS:]), lines[-KEPT_LINES:])
+        exposing = self.exposing if snapshot.exposure is None else in_words(snapshot.exposure)
+        shown = exposing if is_exposing(snapshot.nodes) else ""
+        return Recent(tuple(refusals[-KEPT_REFUSALS:]), lines[-KEPT_LINES:], shown)

@@ -22,9 +22,10 @@ from mcap.writer import Writer
 
 from hardware.codes import InputError
 from hardware.gate import Decision
-from hardware.interface import Frame, Image
+from hardware.interface import Array, Frame, Image
 from skills.tracking.tracks import TrackedGoal
 from supervisor import topics
+from supervisor.exposing import some_paths
 from supervisor.plain import plain
 from supervisor.snapshot import TickSnapshot
 from supervisor.status import StatusWriter, write_json
@@ -38,6 +39,7 @@ SIGNAL_PERIOD = 0.1  # [s]
 GOAL_PERIOD = 0.5  # [s]
 IMAGE_PERIOD = 2.0  # [s] between the JPEG images of a session; those beside estimates are PNG
 JPEG_QUALITY = 88
+DECIMALS = 5  # of the controller's points [m]: finer than 0.01 mm says nothing, and takes room
 MIN_FREE = 64 * 1024 * 1024  # [bytes] of disk below which the record counts as failed, while it can still be closed
 
 
@@ -65,6 +67,7 @@ class Recorder:
         self._frame: Frame | None = None
         self._tracked: TrackedGoal | None = None
         self._lossless = -1
+        self._exposures = 0
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._file = (folder / MCAP_FILE).open("xb")
@@ -150,6 +153,7 @@ class Recorder:
         for text in snapshot.log:
             self.write(topics.LOG, stamp, {"text": text})
         self._samples(snapshot)
+        self._exposure(snapshot)
         news |= self._images(snapshot) | bool(snapshot.log)
         if news or stamp >= self._flushed + FLUSH_PERIOD:
             self._flushed = stamp
@@ -235,6 +239,31 @@ class Recorder:
         if snapshot.tracked is not None and self._is_due(topics.GOAL, stamp, GOAL_PERIOD):
             self.write(topics.GOAL, snapshot.tracked.stamp, snapshot.tracked)
 
+    def _exposure(self, snapshot: TickSnapshot) -> None:
+        """A step that the exposure controller planned; before an exposure's first one, the triangles of its mesh."""
+        view = snapshot.exposure
+        if view is None:
+            return
+        if view.triangles is not self._last.get(topics.EXPOSURE_MESH):
+            self._last[topics.EXPOSURE_MESH] = view.triangles
+            self._exposures += 1
+            mesh = {"exposure": self._exposures, "attempt": snapshot.attempt, "triangles": view.triangles}
+            self.write(topics.EXPOSURE_MESH, snapshot.stamp, mesh)
+        step = {
+            "exposure": self._exposures,
+            "attempt": snapshot.attempt,
+            "number": view.number,
+            "camera": view.camera,
+            "deform": view.deform,
+            "opening": view.opening,
+            "tension": view.tension,
+            "separation": view.separation,
+            "vertices": _rounded(view.vertices),
+            "paths": _rounded(some_paths(view)),
+            "plan": _rounded(view.plan),
+        }
+        self.write(topics.EXPOSURE, snapshot.stamp, step)
+
     def _images(self, snapshot: TickSnapshot) -> bool:
         """A new estimate with the image it was made on, and an image now and then; whether there was an estimate."""
         frame = self._frame = snapshot.frame or self._frame
@@ -279,3 +308,7 @@ class Recorder:
     def _failed(self, error: OSError) -> None:
         if self._fault is None:
             self._fault = f"The record cannot be written: {error.strerror or error}."
+
+
+def _rounded(points: Array) -> Array:
+    return np.round(points, DECIMALS)

@@ -33,7 +33,7 @@ def timeline(record: SessionRecord) -> list[Text]:
 
 def _heading(record: SessionRecord) -> list[Text]:
     h = record.header
-    about = [f"{key} {h[key]}" for key in ("bench", "scene", "agent", "seed") if h.get(key) is not None]
+    about = [f"{key} {h[key]}" for key in ("bench", "scene", "agent", "exposure", "seed") if h.get(key) is not None]
     return [Text.assemble(("Session ", "bold"), (record.folder.resolve().name, "bold"), ("   " + ", ".join(about), "dim"))]
 
 

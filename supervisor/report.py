@@ -30,6 +30,7 @@ from supervisor.history import (
 )
 from supervisor.palette import CONNECTED, GOAL, GRASP, SEVERED, UNKNOWN
 from supervisor.reading import Entry, SessionRecord, read
+from supervisor.report_exposure import section as exposure_section
 
 REPORT_FILE = "report.html"
 TEMPLATE = Path(__file__).with_name("report.html")
@@ -56,7 +57,7 @@ def render(record: SessionRecord) -> str:
     """Make the page."""
     header = record.header
     end = ending(record)
-    about = [f"{key} {header[key]}" for key in ("bench", "scene", "agent", "seed") if header.get(key) is not None]
+    about = [f"{key} {header[key]}" for key in ("bench", "scene", "agent", "exposure", "seed") if header.get(key) is not None]
     started = f"Started {header['started']}. " if header.get("started") else ""
     template = string.Template(TEMPLATE.read_text(encoding="utf-8"))
     return template.substitute(
@@ -68,6 +69,7 @@ def render(record: SessionRecord) -> str:
         facts=_facts(record),
         pictures=_pictures(record),
         attempts=_attempts(attempts(record)),
+        exposures=exposure_section(record),
         timeline=_time_line(record),
         refused=_refused(record),
         approvals=_approvals(record),

@@ -16,6 +16,8 @@ from behaviours.session_outcome import SessionOutcome
 from hardware.codes import Code
 from hardware.stub.bench import StubBench
 from hardware.stub.scene import Scene
+from skills.expose.optimal import OptimalConfig
+from skills.expose.xpbd import choose_device
 from skills.scene.goal import Goal, load_goal, validate_goal
 from skills.scene.tissue import tissue_mask, tissue_outline
 from supervisor import topics
@@ -24,6 +26,7 @@ from supervisor.experiments.evaluator import evaluate
 from supervisor.record import Recorder
 from supervisor.report import write_report
 from supervisor.session import Session, SessionSetup
+from supervisor.skillset import ExposureKind, SkillConfig
 from supervisor.stub_goal import drawn_goal
 from supervisor.view_rerun import RerunView
 from supervisor.views import View
@@ -45,6 +48,8 @@ class RunResult:
     seed: int
     scene: str
     agent: str
+    exposure: str
+    device: str
     limits: dict[str, Any]
     record: str
     wall_s: float
@@ -62,14 +67,17 @@ class RunOptions:
     seed: int
     record: Path
     in_real_time: bool  # an operator is asked: bench time must not run away while they think
+    exposure: ExposureKind = ExposureKind.OPTIMAL
+    device: str = "auto"  # on which the exposure is planned
 
 
 def prepare(options: RunOptions) -> tuple[StubBench, Goal]:
     """The bench and the checked goal; nothing has moved and nothing is recorded yet.
 
     Raises:
-        InputError: the goal cannot be used on this scene.
+        InputError: the goal cannot be used on this scene, or there is no such device.
     """
+    choose_device(options.device)
     bench = StubBench(options.scene, options.seed)
     goal = drawn_goal(bench) if options.goal_file is None else load_goal(options.goal_file)
     camera = bench.endoscope.camera
@@ -93,7 +101,8 @@ def run(
         KeyboardInterrupt: after the arms hold, and the record and the report are written.
     """
     started = time.monotonic()
-    setup = SessionSetup(goal, options.seed, options.attempts, options.feedback)
+    skills = SkillConfig(exposure=options.exposure, optimal=OptimalConfig(device=choose_device(options.device)))
+    setup = SessionSetup(goal, options.seed, options.attempts, options.feedback, skills=skills)
     recorder = Recorder(options.record, header(options, setup))
     if rerun is not None:
         bench.observe(_mesh_feed(bench, rerun))
@@ -127,6 +136,8 @@ def header(options: RunOptions, setup: SessionSetup) -> dict[str, Any]:
         "bench": "stub",
         "scene": options.scene.name,
         "agent": options.agent,
+        "exposure": setup.skills.exposure.value,
+        "device": setup.skills.optimal.device,
         "seed": options.seed,
         "feedback": options.feedback,
         "attempts": options.attempts,
@@ -161,6 +172,8 @@ def _result(
         seed=options.seed,
         scene=options.scene.name,
         agent=options.agent,
+        exposure=setup.skills.exposure.value,
+        device=setup.skills.optimal.device,
         limits=dataclasses.asdict(setup.limits),
         record=str(options.record),
         wall_s=wall_s,

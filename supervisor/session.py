@@ -21,6 +21,7 @@ from hardware.codes import Code
 from hardware.gate import Decision, Limits, SafetyGate
 from hardware.interface import Bench
 from skills.estimate.elongation import attachments
+from skills.expose.optimal import View as ExposureView
 from skills.scene.goal import Goal
 from skills.skill import ImmediateExecutor
 from supervisor.record import Recorder
@@ -89,6 +90,7 @@ class Session:
         self._nodes = [(path, node, path.count("/")) for node, path in stable_paths(self.root).items()]
         self._attempts_ended = 0
         self._shown_frame = -1
+        self._shown_exposure: ExposureView | None = None
 
     def run(self) -> SessionOutcome:
         """Tick until the tree has ended, time has run out or the user interrupts; both arms hold in the end, whatever happened.
@@ -162,6 +164,8 @@ class Session:
             return
         frame = self.skills.frame
         new_frame = frame is not None and frame.sequence != self._shown_frame
+        exposure = self.skills.exposure_view
+        new_exposure = exposure is not self._shown_exposure
         estimate = board.read(board.ESTIMATE)
         tip = self.root.tip()
         tracked = self.skills.tracked()
@@ -185,11 +189,13 @@ class Session:
             frame=frame if new_frame else None,
             tracked=tracked if new_frame else None,
             graph=None if estimate is None else estimate.graph,
+            exposure=exposure if new_exposure else None,
         )
         self._decisions.clear()
         self._notes.clear()
         if frame is not None:
             self._shown_frame = frame.sequence
+        self._shown_exposure = exposure
         if self._recorder is not None:
             self._recorder.snapshot(snapshot)
         for view in self._views:

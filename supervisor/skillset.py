@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import shutil
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 
 from hardware.codes import Code
 from hardware.gate import Lease, SafetyGate
-from hardware.interface import CUTTER, Array, Frame, Pose
+from hardware.interface import CUTTER, Array, Frame, MoveReport, Pose
 from skills.checklist import checklist
 from skills.checklist_outcome import CheckOutcome
 from skills.dissect.outcome import DissectOutcome
 from skills.dissect.planning import PlanningAgent, PlanningConfig
-from skills.estimate.elongation import ElongationConfig, estimate_connectivity, opening_along
+from skills.estimate.elongation import ElongationConfig, estimate_connectivity
 from skills.estimate.graph import ConnectivityGraph
-from skills.expose.naive import ExposureNaive, NaiveConfig
+from skills.estimate.grid import Grid
+from skills.expose.optimal import OptimalConfig, SteeringOptimal, View
 from skills.expose.outcome import ExposeOutcome
+from skills.expose.pull import Exposure, PullConfig, Steering
+from skills.expose.straight import Direction, SteeringStraight
 from skills.grasp import GraspConfig
 from skills.replan.candidates import ReplanConfig
 from skills.replan.greedy import next_goal
@@ -27,26 +31,38 @@ from skills.replan.next_goal import NextGoal
 from skills.retreat import retreat
 from skills.retreat_outcome import RetreatOutcome
 from skills.scene.goal import Goal
-from skills.scene.stereo import StereoConfig
-from skills.scene.tissue import TissueConfig, tissue_mask
+from skills.scene.stereo import DepthMap, StereoConfig, depth_from_stereo, region_around
+from skills.scene.tissue import TissueConfig
 from skills.skill import Progress, Steps, computed
 from skills.tracking.goal_tracker import GoalTracker, GoalTrackerConfig
 from skills.tracking.outcome import TrackOutcome
+from skills.tracking.strain import StrainConfig, StrainGauge
 from skills.tracking.tracks import TrackedGoal
+
+
+class ExposureKind(StrEnum):
+    """How the tissue is pulled to see the cut."""
+
+    OPTIMAL = "optimal"
+    NAIVE = "naive"
+    GOAL_NORMAL = "goal-normal"
 
 
 @dataclass(frozen=True)
 class SkillConfig:
     """Settings of every skill; written into the record as they are."""
 
+    exposure: ExposureKind = ExposureKind.OPTIMAL
     planning: PlanningConfig = field(default_factory=PlanningConfig)
     grasp: GraspConfig = field(default_factory=GraspConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
-    naive: NaiveConfig = field(default_factory=NaiveConfig)
+    pull: PullConfig = field(default_factory=PullConfig)
+    optimal: OptimalConfig = field(default_factory=OptimalConfig)
     tracker: GoalTrackerConfig = field(default_factory=GoalTrackerConfig)
     elongation: ElongationConfig = field(default_factory=ElongationConfig)
     replan: ReplanConfig = field(default_factory=ReplanConfig)
     tissue: TissueConfig = field(default_factory=TissueConfig)
+    strain: StrainConfig = field(default_factory=StrainConfig)
     track_period: float = 0.1  # [s] between looks of the tracker
     reference_patience: float = 2.0  # [s] for the tracker to take a reference image
 
@@ -60,15 +76,19 @@ class SessionSkills:
         self._gate = gate
         self._config = config
         self._executor = executor
+        self._seed = seed
         self._rng = np.random.default_rng([seed, 3])
         self._calibration = calibration
         self._record = record
         self._agent = PlanningAgent(config.planning, config.grasp, config.stereo, executor)
-        self._exposure = ExposureNaive(config.naive, config.stereo, executor)
+        self._steers = self._steering()
+        self._exposure = Exposure(config.pull, self._steers)
         self._tracker: GoalTracker | None = None
         self._tracked: TrackedGoal | None = None
         self._reference_wanted = False
         self._due = -np.inf
+        self._gauge: StrainGauge | None = None
+        self._strain, self._strain_seen, self._strain_due = float("nan"), -np.inf, -np.inf
         self._park: Pose | None = None
         self.frame: Frame | None = None
 
@@ -101,11 +121,13 @@ class SessionSkills:
                 if self._reference_wanted:
                     yield from computed(self._executor, "taking the reference", self._tracker.mark_reference, self.frame)
                     self._tracked = self._tracker.tracked()
+                    yield from computed(self._executor, "measuring depth", self._begin_strain)
                     self._reference_wanted = False
                 else:
                     self._tracked = yield from computed(self._executor, "following the goal", self._tracker.update, self.frame)
-                if not np.isnan(self._tracked.strain):
-                    self._gate.report_strain(self._tracked.strain, self._tracked.stamp)
+                    if self._exposure.pulling and bench.now() >= self._strain_due:
+                        yield from computed(self._executor, "measuring strain", self._read_strain)
+                    self._tracked = replace(self._tracked, strain=self._strain)
             yield Progress("following the goal")
 
     def tracked(self) -> TrackedGoal | None:
@@ -116,10 +138,34 @@ class SessionSkills:
         """The planning agent cuts the goal or the corrective segments."""
         return (yield from self._agent.run(lease, self.tracked, segments))
 
+    def take_hold(self, lease: Lease) -> Steps[MoveReport]:
+        """Grasp at the goal's grasp point and stay there: for exposures of a goal that was cut before."""
+        assert self._tracked is not None, "tracking starts before anything is grasped"
+        return (yield from self._agent.take_hold(lease, self._tracked, 0.0))
+
     def expose(self, lease: Lease) -> Steps[ExposeOutcome]:
-        """The naive straight pull, with a reference image (t_d) before it."""
+        """Pull the tissue, with a reference image (t_d) before it."""
         park = self._park or lease.measured_cp(CUTTER).value
         return (yield from self._exposure.run(lease, self.tracked, self._agent.grasped, park, self._mark_reference))
+
+    @property
+    def exposure_step(self) -> int:
+        """Steps of the newest exposure that are done."""
+        return self._exposure.steps_done
+
+    @property
+    def exposure_view(self) -> View | None:
+        """What the controller had in mind at the newest step it planned; None before the first, and for a straight pull."""
+        return self._steers.view if isinstance(self._steers, SteeringOptimal) else None
+
+    def grid(self) -> Grid | None:
+        """The keypoint grid of the newest reference; None before the first."""
+        return None if self._tracker is None else self._tracker.grid()
+
+    def judge_now(self) -> ConnectivityGraph:
+        """The estimate as it would be now, on the newest frame."""
+        assert self._tracker is not None, "the tree estimates only after tracking has started"
+        return self._estimate(self._tracker)
 
     def estimate(self) -> Steps[ConnectivityGraph]:
         """Judge every edge of the keypoint grid from its elongation since the reference."""
@@ -140,20 +186,57 @@ class SessionSkills:
         """Scissors to where they waited, both arms hold."""
         return (yield from retreat(lease, self._park or lease.measured_cp(CUTTER).value))
 
-    def _mark_reference(self) -> Steps[bool]:
-        """Ask the tracker, which runs beside, for a reference; whether it was taken in time."""
+    def _steering(self) -> Steering:
+        config = self._config
+        if config.exposure is ExposureKind.OPTIMAL:
+            rng = np.random.default_rng([self._seed, 4])
+            return SteeringOptimal(config.optimal, config.stereo, config.tissue, self._executor, rng, self._gaps)
+        return SteeringStraight(Direction(config.exposure.value), config.pull.step, config.stereo, self._executor)
+
+    def _begin_strain(self) -> None:
+        """From now on strain counts from here."""
+        assert self._tracker is not None
+        grid = self._tracker.grid()
+        if grid is None:
+            return
+        self._gauge = StrainGauge(grid, self._depth(grid.points), self._gate.bench.endoscope.camera, self._config.strain)
+        self._strain, self._strain_seen = 0.0, self._gate.bench.now()
+        self._gate.report_strain(0.0, self._strain_seen)
+
+    def _read_strain(self) -> None:
+        """Tell the gate how far the tissue is stretched; that it is unknown when it could not be measured for too long."""
+        assert self._tracker is not None and self._gauge is not None
+        now, config = self._gate.bench.now(), self._config.strain
+        self._strain_due = now + config.period - 1e-6
+        _, tracks, _ = self._tracker.grid_tracks()
+        strain = self._gauge.read(tracks.points, tracks.visible, tracks.confidence, self._depth(tracks.points))
+        if np.isfinite(strain):
+            self._strain, self._strain_seen = strain, now
+        elif now - self._strain_seen > config.patience:
+            self._strain = float("nan")
+        self._gate.report_strain(self._strain, now)
+
+    def _depth(self, points: Array) -> DepthMap:
+        """Stereo depth around `points` (N, 2), those that are finite."""
+        endoscope = self._gate.bench.endoscope
+        camera = endoscope.camera
+        region = region_around(points[np.isfinite(points).all(axis=1)], self._config.strain.margin, (camera.width, camera.height))
+        return depth_from_stereo(endoscope.stereo(), camera, self._config.stereo, region)
+
+    def _gaps(self) -> Array | None:
+        return None if self._tracker is None else self._tracker.gaps()
+
+    def _mark_reference(self) -> Steps[Grid | None]:
+        """Ask the tracker, which runs beside, for a reference: its grid, or None if it was not taken in time."""
         self._reference_wanted = True
         until = self._gate.bench.now() + self._config.reference_patience
         while self._reference_wanted:
             if self._gate.bench.now() > until:
                 self._reference_wanted = False
-                return False
+                return None
             yield Progress("taking the reference image")
-        return True
+        return self.grid()
 
     def _estimate(self, tracker: GoalTracker) -> ConnectivityGraph:
         reference, tracks, grid = tracker.grid_tracks()
-        assert self.frame is not None
-        tissue = tissue_mask(self.frame.image, self._config.tissue)
-        opening = opening_along(tracks.points, grid.edges, tissue)
-        return estimate_connectivity(grid, reference, tracks, self._config.elongation, opening)
+        return estimate_connectivity(grid, reference, tracks, self._config.elongation, tracker.gaps())

@@ -108,6 +108,7 @@ def read_status(folder: Path) -> Status:
         recent = Recent(
             tuple(Refused(**{**refused, "code": str(Code(refused["code"]))}) for refused in kept["refusals"]),
             tuple((_number(stamp), str(text)) for stamp, text in kept["lines"]),
+            str(kept.get("exposing", "")),
         )
         return Status(snapshot, recent, bool(data["running"]), dict(data["outcome"]), max(0.0, age))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""The live view in a terminal: tree, guards, attempt, attachments, forces, refusals, log; else one plain line for each change."""
+"""The live view in a terminal: tree, guards, attempt, attachments, exposure, forces, refusals, log; else a line for each change."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hardware.limits import Limits
+from supervisor.exposing import in_words
 from supervisor.history import GUARDS, is_guard
 from supervisor.palette import STATUS, STATUS_SIGN
 from supervisor.recent import Recent
@@ -21,6 +22,7 @@ from supervisor.snapshot import NodeState, TickSnapshot
 
 PERIOD = 0.125  # [s] of wall time between two pictures
 DEFAULT_LIMITS = Limits()
+EVERY = 5  # of the exposure controller's steps, one is told as a plain line
 
 
 class TerminalView:
@@ -78,7 +80,7 @@ class TerminalView:
 
 
 class PlainLines:
-    """One line for each change of status of a leaf or the root, each refusal's first, each line of the log."""
+    """One line for each change of status of a leaf or the root, each refusal's first, each line of the log, some steps of a pull."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -105,6 +107,8 @@ class PlainLines:
             if kind is not None and kind != self._refusal:
                 self._say(snapshot, f"refused {d.arm} {d.command} ({d.code}): {d.message}")
             self._refusal = kind
+        if snapshot.exposure is not None and snapshot.exposure.number % EVERY == 0:
+            self._say(snapshot, f"exposing: {in_words(snapshot.exposure)}")
         for text in snapshot.log:
             self._say(snapshot, text)
 
@@ -123,7 +127,7 @@ def picture(
     """Make the whole view of one tick for a terminal of `width` x `height` characters."""
     inner = height - 4
     right: list[RenderableType] = [
-        _facts(snapshot),
+        _facts(snapshot, recent),
         Text(""),
         _meters(snapshot, limits),
         Text(""),
@@ -186,12 +190,14 @@ def _node(node: NodeState) -> Text:
     return text
 
 
-def _facts(snapshot: TickSnapshot) -> RenderableType:
+def _facts(snapshot: TickSnapshot, recent: Recent) -> RenderableType:
     left = "not known yet" if snapshot.attachments is None else str(snapshot.attachments)
     table = Table.grid(padding=(0, 2))
     table.add_row("attempt", Text(f"{snapshot.attempt} of {snapshot.max_attempts}", style="bold"))
     table.add_row("attachments left", Text(left, style="bold"))
     table.add_row("now", Text(snapshot.progress or "–", style="bold"))
+    if recent.exposing:
+        table.add_row("exposing", Text(recent.exposing))
     return table
 
 

@@ -22,6 +22,9 @@ APPROVAL = "/approval"  # asked, approved, refused or void
 RECOVERY = "/recovery"
 INTERRUPTION = "/interruption"
 PLAN = "/plan"  # the corrective segments
+EXPOSED = "/exposed"  # how a pull went and why it ended; with the controller, what it expected of it
+EXPOSURE = "/exposure"  # each step that the exposure controller planned
+EXPOSURE_MESH = "/exposure/mesh"  # triangles of its expected mesh, once for each exposure
 TRUTH = "/truth"  # the simulated bench only; never read by the controller
 OUTCOME = "/outcome"
 ENDOSCOPE = "/endoscope"  # left image, foxglove.CompressedImage
@@ -56,6 +59,38 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     RECOVERY: ("dissect.Recovery", {"step": TEXT, "code": TEXT, "recovery": TEXT}),
     INTERRUPTION: ("dissect.Interruption", {"count": INTEGER}),
     PLAN: ("dissect.Plan", {"code": TEXT, "message": TEXT, "segments": LIST, "severs": LIST}),
+    EXPOSED: (
+        "dissect.Exposed",
+        {
+            "code": TEXT,
+            "message": TEXT,
+            "stopped_by": TEXT,
+            "steps": INTEGER,
+            "path": LIST,
+            "tension": LIST,
+            "strain": LIST,
+            "keyframes": LIST,
+            "forecast": {"type": "object"},
+            "planned": {"type": "object"},
+        },
+    ),
+    EXPOSURE: (
+        "dissect.ExposureStep",
+        {
+            "exposure": INTEGER,
+            "attempt": INTEGER,
+            "number": INTEGER,
+            "camera": NUMBER,
+            "deform": NUMBER,
+            "opening": NUMBER,
+            "tension": NUMBER,
+            "separation": NUMBER,
+            "vertices": LIST,
+            "paths": LIST,
+            "plan": LIST,
+        },
+    ),
+    EXPOSURE_MESH: ("dissect.ExposureMesh", {"exposure": INTEGER, "attempt": INTEGER, "triangles": LIST}),
     PROGRESS: ("dissect.Progress", {"attempt": INTEGER, "max_attempts": INTEGER, "message": TEXT}),
     SIGNALS: ("dissect.Signals", {"tension": NUMBER, "strain": NUMBER, "attachments": {"type": ["integer", "null"]}}),
     TOOLS: ("dissect.Tools", {}),

@@ -1,4 +1,4 @@
-"""The live view in Rerun, written to `session.rrd` as well: state lanes, tree graph, endoscope, 3D, forces, gate and log.
+"""The live view in Rerun, written to `session.rrd` as well: state lanes, tree graph, endoscope, 3D, exposure, forces, gate and log.
 
 The server is bound to the loopback interface only; Rerun's own `serve_*` functions bind all interfaces and are not used.
 """
@@ -18,6 +18,7 @@ from behaviours.board import slug
 from hardware.interface import Array
 from skills.estimate.graph import ConnectivityGraph
 from skills.tracking.tracks import TrackedGoal
+from supervisor.exposing import is_exposing, some_paths
 from supervisor.history import is_guard
 from supervisor.palette import EDGE, GOAL, GRASP, STATUS, rgb
 from supervisor.snapshot import NodeState, TickSnapshot
@@ -32,6 +33,7 @@ JPEG_QUALITY = 85
 ROW, COLUMN = 46.0, 130.0  # between nodes of the graph, in its own units
 EDGES_STALE = 4.0  # [px] by which the goal may move before the edges of an estimate no longer fit the image
 TOOL_AXIS = 0.012  # [m], length of the arrow along the shaft
+EXPECTED, PLAN = (111, 95, 168), (255, 211, 63)
 
 log = logging.getLogger(__name__)
 
@@ -61,6 +63,9 @@ class RerunView:
         self._estimated_goal: Array | None = None
         self._graph: ConnectivityGraph | None = None
         self._tracked: TrackedGoal | None = None
+        self._triangles: NDArray[np.int32] | None = None
+        self._sides = np.zeros((0, 2), dtype=np.int32)
+        self._exposing = False
         self._open = True
         self._describe_series()
 
@@ -86,6 +91,7 @@ class RerunView:
             stream.log("signals/attachments", rr.Scalars([float(snapshot.attachments)]))
         self._image(snapshot)
         self._tools(snapshot)
+        self._exposure(snapshot)
         for d in snapshot.decisions:
             if not d.accepted:
                 stream.log("log/gate", rr.TextLog(f"{d.arm} {d.command} ({d.code}): {d.message}", level=rr.TextLogLevel.WARN))
@@ -186,8 +192,43 @@ class RerunView:
                 self._stream.log(f"bench/{name}", tip)
                 self._stream.log(f"bench/{name}/shaft", shaft)
 
+    def _exposure(self, snapshot: TickSnapshot) -> None:
+        """What the exposure controller expects, as long as it pulls: mesh as a wire frame, sampled paths thin, the plan thick."""
+        stream, view = self._stream, snapshot.exposure
+        if view is not None:
+            self._exposing = True
+            if view.triangles is not self._triangles:
+                self._triangles = view.triangles
+                sides = np.sort(view.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+                self._sides = np.unique(sides, axis=0)
+            thin, thick = rr.Radius.ui_points(0.5), rr.Radius.ui_points(3.0)
+            wires = rr.LineStrips3D(list(view.vertices[self._sides]), colors=[(*EXPECTED, 110)], radii=thin)
+            stream.log("bench/exposure/expected", wires)
+            stream.log("bench/exposure/paths", rr.LineStrips3D(list(some_paths(view)), colors=[(*rgb(GRASP), 160)], radii=thin))
+            stream.log("bench/exposure/plan", rr.LineStrips3D([view.plan], colors=[PLAN], radii=thick))
+            for name, value in (
+                ("tension/expected", view.tension),
+                ("losses/camera", view.camera),
+                ("losses/deform", view.deform),
+                ("opening", view.opening),
+                ("separation", view.separation),
+            ):
+                stream.log(f"signals/{name}", rr.Scalars([value]))
+        if self._exposing and not is_exposing(snapshot.nodes):
+            self._exposing = False
+            stream.log("bench/exposure", rr.Clear(recursive=True))
+
     def _describe_series(self) -> None:
-        for name, colour in (("tension", (200, 55, 45)), ("strain", (58, 134, 212)), ("attachments", (201, 138, 27))):
+        for name, colour in (
+            ("tension", (200, 55, 45)),
+            ("strain", (58, 134, 212)),
+            ("attachments", (201, 138, 27)),
+            ("tension/expected", EXPECTED),
+            ("losses/camera", EXPECTED),
+            ("losses/deform", (60, 157, 139)),
+            ("opening", EXPECTED),
+            ("separation", EXPECTED),
+        ):
             self._stream.log(f"signals/{name}", rr.SeriesLines(colors=[colour], names=[name]), static=True)
         # x right, y down, z forward: the left camera's frame.
         self._stream.log("bench", rr.ViewCoordinates.RDF, static=True)
@@ -211,7 +252,12 @@ def blueprint(rows: int = 40, columns: int = 6) -> rrb.Blueprint:
                     rrb.TimeSeriesView(origin="signals/strain", name="strain"),
                     rrb.TextLogView(origin="log", name="gate and log"),
                 ),
-                column_shares=[3, 2],
+                rrb.Vertical(
+                    rrb.TimeSeriesView(origin="signals/opening", name="expected opening [px²]"),
+                    rrb.TimeSeriesView(origin="signals/losses", name="losses a pixel"),
+                    rrb.TimeSeriesView(origin="signals/separation", name="severed from connected [SD]"),
+                ),
+                column_shares=[3, 2, 2],
             ),
             row_shares=[5, 4],
         ),

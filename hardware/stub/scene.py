@@ -206,7 +206,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "tissue.thickness": (0.3e-3, 5e-3),
     "tissue.youngs_modulus": (5e3, 5e6),
     "tissue.density": (500.0, 2000.0),
-    "tissue.bending": (1e-9, 1e-4),
+    "tissue.bending": (1e-9, 1e-2),
     "tissue.puncture_force": (0.0, 5.0),
     "tissue.puncture_variation": (0.0, 1.0),
     "tissue.puncture_scale": (1e-3, 0.1),

@@ -67,7 +67,7 @@ class PlanningAgent:
                 return DissectOutcome(Code.GOAL_LOST, "the goal cannot be seen well enough to cut", ())
             plan = [np.array([[0.0, 0.0], [1.0, 0.0]])] if segments is None else [to_goal_coordinates(goal, s) for s in segments]
             if self.grasped is None:
-                report = yield from self._take_hold(lease, goal)
+                report = yield from self.take_hold(lease, goal, self._config.retraction)
                 if report.status is MoveStatus.FAILED:
                     return DissectOutcome(report.code, report.message, ())
             for number, segment in enumerate(plan):
@@ -87,8 +87,8 @@ class PlanningAgent:
 
     # ------------------------------------------------------------ grasp and retraction
 
-    def _take_hold(self, lease: Lease, goal: TrackedGoal) -> Steps[MoveReport]:
-        """Grasp at the tracked grasp pixel, then retract along the goal's normal, lifting."""
+    def take_hold(self, lease: Lease, goal: TrackedGoal, retraction: float) -> Steps[MoveReport]:
+        """Grasp at the tracked grasp pixel, then retract along the goal's normal by `retraction` [m], lifting."""
         depth = yield from self._look(lease, goal)
         camera = lease.endoscope.camera
         z = depth_at(depth, goal.grasp[None], self._config.depth_radius)
@@ -101,10 +101,10 @@ class PlanningAgent:
         if not np.isfinite(normal).all():
             return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, "the surface at the grasp point cannot be seen")
         report, self.grasped = yield from take(lease, point, normal, point - middle, self._grasp)
-        if self.grasped is None:
+        if self.grasped is None or retraction <= 0.0:
             return report
         direction = retraction_direction(point - middle, normal, self._config.lift)
-        target = self.grasped.origin.moved(self._config.retraction * direction)
+        target = self.grasped.origin.moved(retraction * direction)
         report = yield from servo_line(lease, GRASPER, target, self._grasp.pull_speed, "retracting along the goal's normal")
         if report.code in (Code.TENSION, Code.STRAIN):
             # As far as the limits allow is far enough to cut under tension.

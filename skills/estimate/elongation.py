@@ -22,7 +22,10 @@ class ElongationConfig:
     min_confidence: float = 0.2  # of both ends' tracks
     max_unknown: float = 0.25  # share of the edges across the goal
     steepness: float = 8.0  # of the probability around tau, per unit of log rho
-    min_opening: float = 0.15  # share of a severed edge that must show an opening, where that was looked at
+    min_gap: float = 1.0  # [px] of an opening seen along a severed edge, where that was looked at
+    min_lengthening: float = (
+        0.9  # ratio that an edge with a gap must have kept: what is dark where tissue is pushed together is a fold
+    )
 
     def __post_init__(self) -> None:
         if not self.tau > 1:
@@ -34,7 +37,7 @@ def estimate_connectivity(
     reference: Array,
     tracks: Tracks,
     config: ElongationConfig | None = None,
-    opening: Array | None = None,
+    gap: Array | None = None,
 ) -> ConnectivityGraph:
     """Judge each edge by rho = |k_i(te) - k_j(te)| / |k_i(td) - k_j(td)|; severed if rho >= tau.
 
@@ -43,8 +46,9 @@ def estimate_connectivity(
         reference: (N, 2) pixels of the keypoints at t_d.
         tracks: the same keypoints at t_e. Hidden, lost or doubtful ends make an edge unknown, never severed.
         config: threshold and what counts.
-        opening: (E,) share of each edge that shows no tissue at t_e (`opening_along`), or None. With it, an edge that became
-            long but still shows tissue all along is a stretched attachment: connected.
+        gap: (E,) width [px] of the opening seen along each edge (`GapWatch`), or None. With it, an edge across the goal is severed
+            if and only if an opening was seen along it: what became long but shows tissue all along is a stretched attachment, and a
+            slit at the goal's end, where even a complete cut opens little, is severed below tau.
     """
     config = config or ElongationConfig()
     before, after = lengths(reference, grid.edges), lengths(tracks.points, grid.edges)
@@ -57,10 +61,14 @@ def estimate_connectivity(
     severed = known & (ratio >= config.tau)
     # Smooth and monotone in rho, one half at tau and for what is unknown.
     logit = config.steepness * np.log(np.maximum(ratio, 1e-6) / config.tau)
-    if opening is not None:
-        bridged = severed & grid.crosses_goal & ~(opening >= config.min_opening)
-        severed &= ~bridged
-        logit = np.where(bridged, -np.abs(logit), logit)
+    if gap is not None:
+        looked = known & grid.crosses_goal & np.isfinite(gap)
+        parted = looked & (np.nan_to_num(gap) >= config.min_gap) & (ratio >= config.min_lengthening)
+        severed = np.where(grid.crosses_goal, parted, severed)
+        known = known & (looked | ~grid.crosses_goal)
+        # One e-fold for each half pixel beyond the least gap; what is too short to have parted is connected all the same.
+        seen = 2.0 * (np.nan_to_num(gap) - config.min_gap)
+        logit = np.where(looked, np.where(parted, np.abs(seen), -np.abs(seen)), logit)
     probability = 1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0)))
     state = np.where(severed, EdgeState.SEVERED, np.where(known, EdgeState.CONNECTED, EdgeState.UNKNOWN)).astype(np.int64)
     code, message = _verdict(state[grid.crosses_goal], config)
@@ -76,16 +84,6 @@ def estimate_connectivity(
         crosses_goal=grid.crosses_goal,
         station=grid.station,
     )
-
-
-def opening_along(points: Array, edges: NDArray[np.int64], tissue: NDArray[np.bool_], samples: int = 15) -> Array:
-    """Share (E,) of each edge between `points` (N, 2) pixels on which the `tissue` mask (H, W) shows none."""
-    t = (np.arange(samples) + 0.5) / samples
-    a, b = points[edges[:, 0]], points[edges[:, 1]]
-    at = np.nan_to_num(a[:, None] + t[None, :, None] * (b - a)[:, None])
-    u = np.clip(np.rint(at[..., 0]), 0, tissue.shape[1] - 1).astype(np.int64)
-    v = np.clip(np.rint(at[..., 1]), 0, tissue.shape[0] - 1).astype(np.int64)
-    return np.asarray(1.0 - tissue[v, u].mean(axis=1))
 
 
 def attachments(graph: ConnectivityGraph) -> list[tuple[float, float]]:

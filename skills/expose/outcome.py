@@ -1,9 +1,45 @@
-"""What an exposure gives back: the gripper's path, the region seen, and why it ended."""
+"""What an exposure gives back: the gripper's path, what was expected and seen on it, and why it ended."""
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hardware.codes import Code
 from hardware.interface import Array
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """How the model expects the edges of the keypoint grid to lengthen, if the goal is severed and if it is connected.
+
+    `edges` (C,) index the grid's edges that cross the goal; `severed` and `connected` (S, C) are their expected elongation after
+    each step of the path, `connected` being that of a strand left alone where the edge is, which stretches most; `separation` (S,)
+    in standard deviations, reached by nine edges in ten.
+    """
+
+    edges: NDArray[np.int64]
+    severed: Array
+    connected: Array
+    separation: Array
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What the controller had in mind at each step of the path, (S,) each: terms of its loss, means over samples and horizon.
+
+    `camera`, `deform` as in the paper's equations, per pixel; `opening` [px^2] the area of the cut that it expects the camera to see;
+    `tension` [N] expected; `effective` samples of the update; `feasible` share of them; `agreement` 0..1, the length of the mean
+    step over the mean length of the sampled ones (1: all agree).
+    """
+
+    camera: Array
+    deform: Array
+    opening: Array
+    tension: Array
+    effective: Array
+    feasible: Array
+    agreement: Array
 
 
 @dataclass(frozen=True)
@@ -11,6 +47,8 @@ class ExposeOutcome:
     """`code` OK when the tissue was pulled as far as planned or as far as a limit allows (then `stopped_by` says which).
 
     `path` (S, 3) [m] are the gripper positions, `tension` (S,) [N], `strain` (S,) the strain seen by tracking (nan unknown).
+    `keyframes` are bench times [s] of the steps after which the keypoints are worth keeping for the estimate. `forecast` and
+    `planned` come from the controller alone.
     """
 
     code: Code
@@ -19,3 +57,6 @@ class ExposeOutcome:
     path: Array
     tension: Array
     strain: Array
+    keyframes: tuple[float, ...] = ()
+    forecast: Forecast | None = None
+    planned: Planned | None = None

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array, Frame
-from skills.estimate.grid import Grid, GridConfig, grid_around, lengths
+from skills.estimate.gap import GapWatch
+from skills.estimate.grid import Grid, GridConfig, grid_around
 from skills.scene.goal import Goal
 from skills.scene.polyline import arc_lengths, left_normals, resample, side_of
 from skills.scene.tissue import TissueConfig, tool_mask
@@ -26,8 +27,6 @@ class GoalTrackerConfig:
     row_offset: float = 18.0  # [px] of either row from the goal line: clear of a cut that runs 1.5 mm beside it
     station_spacing: float = 8.0  # [px] along the goal
     min_seen: float = 0.3  # share of the stations
-    min_strain_edges: int = 8  # fewer seen edges say nothing about strain
-    min_strain_confidence: float = 0.5
     grid: GridConfig = field(default_factory=GridConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     rows: RowConfig = field(default_factory=RowConfig)
@@ -42,6 +41,7 @@ class GoalTracker:
         self._tracker = TrackerDIS(self.config.tracker)
         self._tracked: TrackedGoal | None = None
         self._grid: Grid | None = None
+        self._gaps: GapWatch | None = None
 
     def start(self, frame: Frame, goal: Goal) -> TrackedGoal:
         """Begin to follow `goal`, drawn on `frame`; an older goal and its grid are forgotten."""
@@ -50,7 +50,7 @@ class GoalTracker:
         line = resample(goal.polyline, count)
         towards_grasp = side_of(goal.polyline, goal.grasp) * left_normals(line)
         near, far = line + c.row_offset * towards_grasp, line - c.row_offset * towards_grasp
-        self._grid = None
+        self._grid, self._gaps = None, None
         self._begin(frame, near, far, goal.grasp, np.zeros((0, 2)), np.zeros(0, dtype=bool))
         return self._read()
 
@@ -62,7 +62,11 @@ class GoalTracker:
         """
         self._require_started()
         self._tracker.update(frame, tool_mask(frame.image, self.config.tissue))
-        return self._read()
+        tracked = self._read()
+        if self._gaps is not None:
+            part = self._grid_part()
+            self._gaps.look(frame.image, part.points, part.visible)
+        return tracked
 
     def tracked(self) -> TrackedGoal:
         """Give the goal as the newest frame showed it."""
@@ -78,8 +82,17 @@ class GoalTracker:
         self._grid = grid_around(tracked, self.config.row_offset, self.config.grid)
         self._begin(frame, tracked.near, tracked.far, tracked.grasp, self._grid.points, self._grid.near_side)
         self._grid_valid = not tracked.lost
+        self._gaps = GapWatch(frame.image, self._grid.points, self._grid.edges, self._grid.crosses_goal)
         self._read()
         return self._grid
+
+    def grid(self) -> Grid | None:
+        """Give the keypoint grid of the newest reference; None before the first."""
+        return self._grid
+
+    def gaps(self) -> Array | None:
+        """Give the widest opening (E,) [px] seen along each edge of the grid since t_d; None before the first reference."""
+        return None if self._gaps is None else self._gaps.widest()
 
     def grid_tracks(self) -> tuple[Array, Tracks, Grid]:
         """Give the keypoints at t_d (N, 2), where they are now, and the grid.
@@ -117,7 +130,7 @@ class GoalTracker:
             grasp=tracks.points[2 * m],
             grasp_visible=bool(tracks.visible[2 * m]),
             lost=bool(visible.mean() < c.min_seen),
-            strain=self._strain(),
+            strain=float("nan"),
         )
         return self._tracked
 
@@ -127,21 +140,6 @@ class GoalTracker:
         if self._grid_valid:
             return part
         return replace(part, visible=np.zeros_like(part.visible), confidence=np.zeros_like(part.confidence))
-
-    def _strain(self) -> float:
-        """90th percentile of the relative lengthening of well seen grid edges that do not cross the goal; nan if too few are.
-
-        Not the largest: among hundreds of edges a few are always mistracked, and they must not stop a pull.
-        """
-        if self._grid is None:
-            return float("nan")
-        grid, tracks = self._grid, self._grid_part()
-        sure = tracks.visible & (tracks.confidence >= self.config.min_strain_confidence)
-        use = ~grid.crosses_goal & sure[grid.edges].all(axis=1)
-        if use.sum() < self.config.min_strain_edges:
-            return float("nan")
-        lengthening = lengths(tracks.points, grid.edges[use]) / lengths(grid.points, grid.edges[use]) - 1.0
-        return float(np.percentile(lengthening, 90))
 
     def _require_started(self) -> TrackedGoal:
         if self._tracked is None:

@@ -25,7 +25,7 @@ class TrackedGoal:
     The goal's own line lies in the cut, where no texture is; so two rows of points, a few pixels to either side of it, are
     tracked and the goal is their mid-line. `polyline`, `near`, `far` are (M, 2) pixels (`near` on the grasp's side), `visible`
     (M,) bool where both rows are seen, `grasp` (2,) pixel. `lost` when too little of the goal is seen to go on.
-    `strain` is the 90th percentile of the relative lengthening of grid edges that do not cross the goal (nan if unknown).
+    `strain` is that of the tissue beside the goal as a `StrainGauge` read it (nan where none did).
     """
 
     stamp: float

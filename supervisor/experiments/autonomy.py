@@ -6,15 +6,10 @@ end, so that an interrupted experiment goes on where it was.
 
 from __future__ import annotations
 
-import json
-import logging
-import os
-from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Generator
+from contextlib import closing
 from dataclasses import asdict, dataclass
-from functools import cache
-from hashlib import sha256
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -22,13 +17,15 @@ from typing import Any
 from hardware.codes import Code
 from hardware.stub.bench import StubBench
 from hardware.stub.scene import load_scene
+from skills.expose.optimal import OptimalConfig
 from supervisor.approvers import AutoApprover
+from supervisor.experiments import pool
 from supervisor.experiments.evaluator import evaluate
+from supervisor.experiments.journal import Journal
 from supervisor.experiments.statistics import mean_sd, wilson
 from supervisor.session import Session, SessionSetup
+from supervisor.skillset import ExposureKind, SkillConfig
 from supervisor.stub_goal import drawn_goal
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -41,13 +38,16 @@ class AutonomySettings:
     attempts: int = 3
     trials: int = 40
     seed: int = 0
+    expose: str = "optimal"
 
 
 def run_trial(settings: AutonomySettings, seed: int) -> dict[str, Any]:
     """One session, judged after every attempt; plain values."""
     started = monotonic()
     bench = StubBench(load_scene(settings.scene), seed)
-    setup = SessionSetup(drawn_goal(bench), seed, settings.attempts, settings.feedback)
+    # One thread for each trial: the trials themselves fill the cores.
+    skills = SkillConfig(exposure=ExposureKind(settings.expose), optimal=OptimalConfig(threads=1))
+    setup = SessionSetup(drawn_goal(bench), seed, settings.attempts, settings.feedback, skills=skills)
     per_attempt: list[dict[str, Any]] = []
     session = Session(bench, setup, AutoApprover(), after_attempt=lambda n: per_attempt.append(evaluate(bench, n).as_dict()))
     outcome = session.run()
@@ -81,18 +81,17 @@ def run_experiment(
         KeyboardInterrupt: the trials that ended are in the journal; the same call goes on after them.
     """
     started = monotonic()
-    done = _read_journal(journal, settings)
+    seeds = range(settings.seed, settings.seed + settings.trials)
+    kept = Journal(journal, _condition(settings))
+    done = {trial["seed"]: trial for trial in kept.read() if trial["seed"] in seeds}
     for trial in done.values():
         progress(trial)
-    missing = [settings.seed + i for i in range(settings.trials) if settings.seed + i not in done]
-    workers = workers or os.cpu_count() or 1
-    with journal.open("a", encoding="utf-8") as file:
-        for trial in _trials(settings, missing, workers):
+    with closing(_trials(settings, [seed for seed in seeds if seed not in done], workers)) as ended:
+        for trial in ended:
             done[trial["seed"]] = trial
-            file.write(json.dumps({"settings": _identity(settings), "trial": trial}) + "\n")
-            file.flush()
+            kept.keep(trial)
             progress(trial)
-    trials = [done[settings.seed + i] for i in range(settings.trials)]
+    trials = [done[seed] for seed in seeds]
     return summary(settings, trials, monotonic() - started)
 
 
@@ -117,70 +116,16 @@ def summary(settings: AutonomySettings, trials: list[dict[str, Any]], wall_s: fl
     }
 
 
-def _trials(settings: AutonomySettings, seeds: list[int], workers: int) -> Any:
-    """Results as they come; on an interrupt nothing new is begun."""
-    if not seeds:
-        return
-    # Spawned, not forked: a forked child would share the state of Warp's and OpenCV's threads.
-    pool = ProcessPoolExecutor(min(workers, len(seeds)), mp_context=get_context("spawn"), initializer=_prepare_worker)
-    pending: set[Future[dict[str, Any]]] = {pool.submit(run_trial, settings, seed) for seed in seeds}
-    try:
-        while pending:
-            ended, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in ended:
-                yield future.result()
-    finally:
-        for process in list(getattr(pool, "_processes", {}).values()) if pending else []:
-            process.terminate()
-        pool.shutdown(wait=not pending, cancel_futures=True)
+def _trials(settings: AutonomySettings, seeds: list[int], workers: int | None) -> Generator[dict[str, Any], None, None]:
+    """Results as they come."""
+    yield from pool.results(partial(run_trial, settings), seeds, workers)
 
 
-def _prepare_worker() -> None:
-    """One core for each worker: more threads in each would only get in each other's way."""
-    import signal
-
-    import cv2
-
-    from supervisor.warp_start import start_warp
-
-    start_warp()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
-    logging.disable(logging.WARNING)
-
-
-def _identity(settings: AutonomySettings) -> dict[str, Any]:
-    """What must agree for a trial of the journal to be used again: the condition and the program itself."""
-    identity = asdict(settings)
-    del identity["trials"], identity["seed"]
-    return {**identity, "program": _program()}
-
-
-@cache
-def _program() -> str:
-    """A hash over the sources and scenes: a changed program does not go on with another's trials."""
-    root = Path(__file__).parents[2]
-    rooms = ("hardware", "skills", "behaviours", "trees", "supervisor")
-    digest = sha256()
-    for path in sorted(path for room in rooms for path in (root / room).rglob("*") if path.suffix in (".py", ".toml")):
-        digest.update(path.relative_to(root).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _read_journal(journal: Path, settings: AutonomySettings) -> dict[int, dict[str, Any]]:
-    """Trials of the same condition that ended earlier, by seed; a line cut off by a kill is left out."""
-    done: dict[int, dict[str, Any]] = {}
-    if not journal.exists():
-        return done
-    for line in journal.read_text(encoding="utf-8").splitlines():
-        try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        if entry.get("settings") == _identity(settings):
-            done[entry["trial"]["seed"]] = entry["trial"]
-    return done
+def _condition(settings: AutonomySettings) -> dict[str, Any]:
+    """What must agree for a trial of the journal to be used again."""
+    condition = asdict(settings)
+    del condition["trials"], condition["seed"]
+    return condition
 
 
 def _per_attempt(settings: AutonomySettings, trials: list[dict[str, Any]], key: str) -> list[float]:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware.codes import Code
-from skills.estimate.elongation import ElongationConfig, attachments, estimate_connectivity, opening_along
+from skills.estimate.elongation import ElongationConfig, attachments, estimate_connectivity
 from skills.estimate.graph import ConnectivityGraph, EdgeState
 from skills.estimate.grid import Grid, GridConfig, grid_around
 from skills.tracking.tracks import Tracks
@@ -101,19 +101,34 @@ def test_an_unknown_edge_joins_the_connected_ones_beside_it() -> None:
 
 
 def test_a_stretched_strand_that_still_shows_tissue_is_connected() -> None:
-    opening = np.ones(len(GRID.edges))
-    opening[CROSSING[7]] = 0.05
-    opening[CROSSING[8]] = np.nan
-    graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(30.0), None, opening)
-    assert np.flatnonzero(graph.uncut).tolist() == CROSSING[[7, 8]].tolist()
+    seen = np.full(len(GRID.edges), 25.0)
+    seen[CROSSING[7]] = 0.0
+    graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(30.0), None, seen)
+    assert np.flatnonzero(graph.uncut).tolist() == [CROSSING[7]]
     assert graph.probability[CROSSING[7]] < 0.5
 
 
-def test_the_opening_along_an_edge_is_its_share_without_tissue() -> None:
-    tissue = np.ones((100, 100), dtype=bool)
-    tissue[40:60] = False
-    share = opening_along(np.array([[50.0, 20.0], [50.0, 80.0], [80.0, 20.0]]), np.array([[0, 1], [0, 2]]), tissue)
-    assert share == pytest.approx([1 / 3, 0.0], abs=0.04)
+def test_a_slit_is_severed_though_it_is_shorter_than_tau() -> None:
+    seen = np.zeros(len(GRID.edges))
+    seen[CROSSING[3]] = 3.0
+    graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(3.0), None, seen)
+    assert graph.elongation[CROSSING[3]] < ElongationConfig().tau
+    assert np.flatnonzero(graph.state[CROSSING] == EdgeState.SEVERED).tolist() == [3]
+
+
+def test_a_dark_fold_between_points_that_came_nearer_is_no_opening() -> None:
+    seen = np.full(len(GRID.edges), 5.0)
+    graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(-4.0), None, seen)
+    assert (graph.state[CROSSING] == EdgeState.CONNECTED).all()
+
+
+def test_an_edge_along_which_nobody_could_look_is_unknown() -> None:
+    seen = np.full(len(GRID.edges), 25.0)
+    seen[CROSSING[4]] = np.nan
+    graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(30.0), None, seen)
+    assert graph.state[CROSSING[4]] == EdgeState.UNKNOWN
+    assert graph.probability[CROSSING[4]] == 0.5
+    assert not graph.complete
 
 
 @given(st.floats(0.0, 60.0), st.floats(0.0, 60.0))

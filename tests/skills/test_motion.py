@@ -7,6 +7,7 @@ from hardware.codes import Code
 from hardware.gate import Lease
 from hardware.interface import CUTTER, MoveStatus
 from skills.motion import pause, servo_line, wait
+from tests.mocks.servo import lag, sent
 from tests.mocks.table import TICK, Table
 
 
@@ -36,6 +37,55 @@ def test_a_servoed_line_keeps_to_its_speed(table, lease):
     table.finish(servo_line(lease, CUTTER, target, 5e-3, "moving"))
 
     assert 1.0 <= lease.now() - started < 1.5
+
+
+def test_lines_that_continue_each_other_never_go_back_though_the_setpoint_lags(table, lease):
+    lag(table.bench, CUTTER)
+    start = lease.setpoint_cp(CUTTER)
+    here, behind = start, []
+    for number in range(1, 6):
+        target = start.moved(np.array([number * 1e-3, 0.0, 0.0]))
+        behind.append(here.position[0] - lease.setpoint_cp(CUTTER).position[0])
+        report = table.finish(servo_line(lease, CUTTER, target, 8e-3, "moving", here))
+        assert report.status is MoveStatus.DONE
+        here = target
+
+    assert min(behind[1:]) > 0.1e-3
+    assert np.diff(sent(table.bench, CUTTER)[:, 0]).min() > -1e-12
+    assert sent(table.bench, CUTTER)[-1] == pytest.approx(here.position, abs=1e-12)
+
+
+def test_a_line_from_a_start_lies_between_it_and_its_target(table, lease):
+    lag(table.bench, CUTTER)
+    start = lease.setpoint_cp(CUTTER).moved(np.array([0.0, 0.3e-3, 0.0]))
+    target = start.moved(np.array([0.002, 0.0, 0.0]))
+
+    table.finish(servo_line(lease, CUTTER, target, 5e-3, "moving", start))
+
+    along = sent(table.bench, CUTTER) - start.position
+    assert np.abs(along[:, 1:]).max() < 1e-12
+    assert 0.0 < along[0, 0] <= 5e-3 * TICK * (1 + 1e-9)
+    assert along[-1, 0] == pytest.approx(0.002)
+
+
+def test_a_line_without_a_start_begins_where_the_arm_is_told_to_be(table, lease):
+    lag(table.bench, CUTTER)
+    here = lease.setpoint_cp(CUTTER)
+    target = here.moved(np.array([0.002, 0.0, 0.0]))
+
+    table.finish(servo_line(lease, CUTTER, target, 5e-3, "moving"))
+
+    first = here.moved(np.array([5e-3 * TICK, 0.0, 0.0]))
+    assert sent(table.bench, CUTTER)[0] == pytest.approx(first.position)
+
+
+def test_a_start_far_from_the_arm_is_refused_and_nothing_moves(table, lease):
+    start = lease.setpoint_cp(CUTTER).moved(np.array([0.004, 0.0, 0.0]))
+
+    report = table.finish(servo_line(lease, CUTTER, start.moved(np.array([0.004, 0.0, 0.0])), 5e-3, "moving", start))
+
+    assert report.code is Code.STEP_TOO_LONG
+    assert table.bench.motions() == []
 
 
 def test_a_refusal_comes_back_with_its_code(table, lease):

@@ -1,4 +1,7 @@
-"""A made-up but realistic session for the tests of records and views: two attempts, one refusal, one attachment recut."""
+"""A made-up but realistic session for the tests of records and views: two attempts, one refusal, one attachment recut.
+
+Both exposures are planned, nine steps each half a second apart; the second ends instead of making its ninth.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +18,7 @@ from hardware.codes import Code
 from hardware.gate import Decision
 from hardware.interface import CUTTER, GRASPER, Frame, Image, Pose
 from skills.estimate.graph import ConnectivityGraph, EdgeState
+from skills.expose.optimal import View as ExposureView
 from skills.tracking.tracks import TrackedGoal
 from supervisor.record import Recorder
 from supervisor.snapshot import NodeState, TickSnapshot
@@ -57,8 +62,10 @@ HEADER = {
     "agent": "planning",
     "bench": "stub",
     "versions": {"python": "3.11.2", "warp-lang": "1.19.0", "py_trees": "2.6.0"},
+    "exposure": "optimal",
+    "device": "cpu",
     "limits": {"tension_stop": 4.0, "strain_stop": 0.5, "max_cuts_per_approval": 80, "workspace_lower": [-0.09, -0.07, 0.02]},
-    "configuration": {"expose": {"step": 0.0005, "steps": 35}},
+    "configuration": {"expose": {"step": 0.0005, "steps": 35}, "skills": {"optimal": {"separation": {"enough": 3.0}}}},
     "calibration": "stub, exact",
 }
 OUTCOME = {
@@ -126,6 +133,40 @@ def estimate(attempt: int, pull: float) -> ConnectivityGraph:
     return ConnectivityGraph(Code.OK, message, reference, points, edges, elongation, state, probability, crosses, station)
 
 
+# Two triangles for each exposure: a record tells exposures apart by their mesh.
+MESHES = {attempt: np.array([[0, 1, 2], [2, 1, 3]], dtype=np.int32) for attempt in (1, 2)}
+STEP_PERIOD = 0.5  # [s]
+
+
+def exposure_view(attempt: int, number: int) -> ExposureView:
+    """What a controller had in mind before step `number` of a pull to the left."""
+    corners = np.array([[0.0, 0.0, 0.1], [0.01, 0.0, 0.1], [0.0, 0.01, 0.1], [0.01, 0.01, 0.1]])
+    corners[0, 0] = -0.000501234 * number
+    rng = np.random.default_rng(number)
+    plan = np.cumsum(np.tile([-0.0005, 0.0, 0.0], (6, 1)), axis=0)
+    paths = plan + rng.normal(0.0, 1e-4, (40, 6, 3))
+    return ExposureView(
+        number, corners, MESHES[attempt], paths, plan, 400.0 * number, -0.9, -1.0 - 0.1 * number, 0.1 * number, 0.3 * number
+    )
+
+
+def exposed(steps: int) -> dict[str, Any]:
+    """What is told of a pull of `steps` steps."""
+    by_step = [0.1 * k for k in range(1, steps + 1)]
+    return {
+        "code": "ok",
+        "message": f"pulled {steps} of 35 steps: severed and connected tissue are 3.1 standard deviations apart",
+        "stopped_by": "exposure_separated",
+        "steps": steps,
+        "path": [[-0.0005 * k, 0.0, 0.1] for k in range(1, steps + 1)],
+        "tension": by_step,
+        "strain": [None, *by_step[1:]],
+        "keyframes": [1.0],
+        "forecast": {"edges": [7], "severed": [[1.5]] * steps, "connected": [[1.1]] * steps, "separation": by_step},
+        "planned": {"opening": by_step, "agreement": by_step, "feasible": [1.0] * steps},
+    }
+
+
 def snapshots(images: bool = True) -> Iterator[TickSnapshot]:
     """The ticks of a session of 30 s of bench time, every 0.1 s."""
     statuses = {path: "INVALID" for path, *_ in NODES}
@@ -152,6 +193,8 @@ def snapshots(images: bool = True) -> Iterator[TickSnapshot]:
         if phase == "estimate" and (graph is None or abs(stamp - began) < 1e-9):
             graph, attachments = estimate(attempt, pull), 1 if attempt == 1 else 0
         decisions = tuple(_decisions(stamp, phase))
+        number = (stamp - began) / STEP_PERIOD
+        planned = phase == "expose" and number > 0.5 and abs(number - round(number)) < 1e-6
         tension = 0.25 + pull / 20 + 0.05 * math.sin(3 * stamp)
         position = np.array([-0.012 - pull * 1e-4, 0.0, 0.11])
         tool = Pose.looking(position, np.array([0.3, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]))
@@ -181,6 +224,7 @@ def snapshots(images: bool = True) -> Iterator[TickSnapshot]:
             frame=frame,
             tracked=tracked_goal(stamp, pull) if attempt else None,
             graph=graph,
+            exposure=exposure_view(attempt, round(number)) if planned else None,
         )
 
 
@@ -218,6 +262,9 @@ def record_session(folder: Path, *, until: float = 99.0, close: bool = True, ima
             asked = {"kind": "goal", "goal_id": "3fa9c1", "frame_sequence": 60, "reason": "sever along the drawn goal"}
             recorder.write("approval", 2.0, {**asked, "event": "asked"})
             recorder.write("approval", 2.0, {**asked, "event": "approved", "by": "auto", "comment": ""})
+        for steps, at in ((9, 18.9), (8, 28.0)):
+            if abs(snapshot.stamp - at) < 1e-6:
+                recorder.write("exposed", snapshot.stamp, exposed(steps))
         for attempt, at in ((1, 19.2), (2, 28.2)):
             if abs(snapshot.stamp - at) < 1e-6:
                 recorder.write("/truth", snapshot.stamp, truth(attempt))

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from hardware.codes import InputError
 from hardware.stub.bench import StubBench
 from supervisor import topics
-from supervisor.cli import main
+from supervisor.cli import Expose, main
 from supervisor.reading import read
 from supervisor.replay import timeline
+from supervisor.skillset import ExposureKind
 
 GOAL = {"image_size": [640, 480], "polyline": [[250, 240], [390, 240]], "grasp": [320, 190]}
 
@@ -70,6 +72,9 @@ def test_a_bad_goal_gets_one_sentence_and_nothing_moves(monkeypatch, capsys, tmp
         (["run", "--goal", "nowhere.json"], "cannot be read"),
         (["run", "--agent", "magic"], "planning"),
         (["run", "--attempts", "0"], "attempts"),
+        (["run", "--expose", "sideways"], "goal-normal"),
+        (["run", "--device", "cuda:77"], "there is no device 'cuda:77' here; there is cpu"),
+        (["experiment", "autonomy", "--expose", "sideways"], "goal-normal"),
         (["replay", "nowhere"], "nowhere"),
         (["watch", "nowhere"], "No session is running".lower()),
         (["experiment", "autonomy", "--scene", "nothing"], "no scene named"),
@@ -80,6 +85,44 @@ def test_other_bad_input_gets_one_sentence_and_status_2(monkeypatch, capsys, mot
 
     assert status == 2
     assert sentence in said.lower() or sentence in said
+
+
+def test_the_command_line_knows_every_kind_of_exposure():
+    assert [kind.value for kind in Expose] == [kind.value for kind in ExposureKind]
+
+
+def test_the_choice_of_exposure_and_device_reaches_the_session(monkeypatch, capsys, tmp_path):
+    """The run itself is left out: what it would be given is looked at."""
+    given = []
+
+    def stopped(options, *rest):
+        given.append(options)
+        raise InputError("stopped by the test")
+
+    monkeypatch.setattr("supervisor.run.run", stopped)
+    where = ["--record", str(tmp_path / "r"), "--view", "none"]
+
+    call(monkeypatch, capsys, "run", "--expose", "goal-normal", "--device", "cpu", *where)
+    call(monkeypatch, capsys, "run", *where)
+
+    chosen = [(options.exposure, options.device) for options in given]
+    assert chosen == [(ExposureKind.GOAL_NORMAL, "cpu"), (ExposureKind.OPTIMAL, "auto")]
+
+
+def test_the_experiment_is_told_how_to_expose(monkeypatch, capsys, tmp_path):
+    given = []
+
+    def stopped(settings, *rest):
+        given.append(settings)
+        raise InputError("stopped by the test")
+
+    monkeypatch.setattr("supervisor.experiments.autonomy.run_experiment", stopped)
+    monkeypatch.chdir(tmp_path)
+
+    call(monkeypatch, capsys, "experiment", "autonomy", "--expose", "naive")
+    call(monkeypatch, capsys, "experiment", "autonomy")
+
+    assert [settings.expose for settings in given] == ["naive", "optimal"]
 
 
 def test_doctor_says_that_this_machine_can_run_the_stub(monkeypatch, capsys, tmp_path):

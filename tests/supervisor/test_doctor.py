@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from skills.expose.xpbd import choose_device
 from supervisor.doctor import Check, able, diagnose, table
 from supervisor.plain import plain
 
@@ -18,6 +19,11 @@ def test_this_machine_can_run_the_stub_bench(tmp_path: Path) -> None:
     checks = diagnose(tmp_path)
     assert able(checks), [check for check in checks if check.required and not check.ok]
     assert {"Python", "warp-lang", "optical flow", "disk space", "ROS"} <= {check.name for check in checks}
+
+
+def test_the_device_that_would_plan_the_exposure_is_named(tmp_path: Path) -> None:
+    check = next(check for check in diagnose(tmp_path) if check.name == "exposure planning")
+    assert check.ok and check.detail.startswith(f"on {choose_device('auto')} (")
 
 
 def test_what_fails_names_a_remedy(tmp_path: Path) -> None:

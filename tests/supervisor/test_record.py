@@ -8,6 +8,7 @@ import select
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from hardware.gate import Decision
 from supervisor.reading import read
 from supervisor.record import HEADER_FILE, MCAP_FILE, Recorder
 from supervisor.status import read_status, write_json
-from tests.supervisor.sessions import HEADER, OUTCOME, picture, record_session, snapshots
+from tests.supervisor.sessions import HEADER, OUTCOME, exposure_view, picture, record_session, snapshots
 
 ROOT = Path(__file__).parents[2]
 SERVED = Decision(1.0, "dissect", "PSM2", "servo_cp", True, Code.OK, "", (0.0, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0))
@@ -86,6 +87,35 @@ def test_all_decisions_are_in_the_record_once(tmp_path: Path) -> None:
 def test_decisions_that_came_with_the_snapshot_only_are_recorded_too(session: Path) -> None:
     expected = sum(len(snapshot.decisions) for snapshot in snapshots(images=False))
     assert len(read(session).topic("/decisions")) == expected
+
+
+def test_each_planned_step_is_recorded_and_the_triangles_once_for_each_exposure(session: Path) -> None:
+    steps = [entry.payload for entry in read(session).topic("/exposure")]
+    meshes = [entry.payload for entry in read(session).topic("/exposure/mesh")]
+    assert [(s["exposure"], s["attempt"], s["number"]) for s in steps] == [(k, k, n) for k in (1, 2) for n in range(1, 10)]
+    assert [(m["exposure"], m["triangles"]) for m in meshes] == [(k, [[0, 1, 2], [2, 1, 3]]) for k in (1, 2)]
+    assert {k: steps[2][k] for k in ("opening", "camera", "tension")} == {
+        "opening": 1200.0,
+        "camera": -0.9,
+        "tension": pytest.approx(0.3),
+    }
+
+
+def test_the_controllers_points_are_recorded_to_a_hundredth_of_a_millimetre_and_few_of_its_paths(session: Path) -> None:
+    step = read(session).topic("/exposure")[2].payload
+    assert step["vertices"][0] == [-0.0015, 0.0, 0.1]
+    assert np.shape(step["paths"]) == (16, 6, 3) and np.shape(step["plan"]) == (6, 3)
+    np.testing.assert_array_equal(np.round(step["paths"], 5), step["paths"])
+
+
+def test_a_step_without_a_plan_is_recorded_with_its_numbers_unknown(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "s", {})
+    nothing = float("nan")
+    view = replace(exposure_view(1, 1), opening=nothing, camera=nothing, deform=nothing, tension=nothing)
+    recorder.snapshot(replace(next(snapshots(images=False)), exposure=view))
+    recorder.close({})
+    step = read(tmp_path / "s").topic("/exposure")[0].payload
+    assert [step[name] for name in ("opening", "camera", "deform", "tension")] == [None] * 4 and step["separation"] == 0.3
 
 
 def test_images_are_read_when_asked_for_and_those_of_estimates_are_lossless(session: Path) -> None:
@@ -246,7 +276,8 @@ def test_every_topic_registers_its_schema(session: Path) -> None:
     schemas = {c.topic: summary.schemas[c.schema_id] for c in summary.channels.values()}
     assert schemas["/endoscope"].name == "foxglove.CompressedImage"
     assert all(schema.encoding == "jsonschema" and json.loads(schema.data)["type"] == "object" for schema in schemas.values())
-    assert {"/tree", "/decisions", "/graph", "/signals", "/outcome"} <= set(schemas)
+    assert {"/tree", "/decisions", "/graph", "/signals", "/outcome", "/exposure/mesh"} <= set(schemas)
+    assert (schemas["/exposure"].name, schemas["/exposed"].name) == ("dissect.ExposureStep", "dissect.Exposed")
 
 
 def test_the_status_file_follows_the_session_and_tells_its_end(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 def test_the_time_line_begins_with_what_the_session_was(lines: list[str]) -> None:
-    assert lines[0] == "Session one   bench stub, scene silicone, agent planning, seed 7"
+    assert lines[0] == "Session one   bench stub, scene silicone, agent planning, exposure optimal, seed 7"
 
 
 def test_leaves_are_told_in_order_of_time(lines: list[str]) -> None:

@@ -5,16 +5,19 @@ from pathlib import Path
 
 import pytest
 
-from hardware.codes import Code
+from hardware.codes import Code, InputError
 from hardware.interface import CUTTER, GRASPER
 from hardware.stub.bench import StubBench
 from hardware.stub.scene import load_scene
+from skills.expose.xpbd import choose_device
 from supervisor import topics
 from supervisor.approvers import AutoApprover
+from supervisor.history import exposures
 from supervisor.reading import read
 from supervisor.replay import timeline
 from supervisor.run import RunOptions, RunResult, exit_status, prepare, run
 from supervisor.session import Session, SessionSetup
+from supervisor.skillset import ExposureKind
 from supervisor.stub_goal import drawn_goal
 
 
@@ -74,6 +77,49 @@ def test_the_record_holds_the_whole_session(ran):
     text = "\n".join(str(line) for line in timeline(record))
     for word in ("checklist", "approve", "dissect", "expose", "estimate", "retreat"):
         assert word in text
+
+
+def test_the_exposure_is_planned_unless_told_otherwise_and_the_choice_is_on_record(ran):
+    result, folder = ran
+    header = read(folder / "record").header
+
+    assert (result.exposure, result.device) == ("optimal", choose_device("auto"))
+    assert (header["exposure"], header["device"]) == (result.exposure, result.device)
+    skills = header["configuration"]["skills"]
+    assert (skills["exposure"], skills["optimal"]["device"]) == (result.exposure, result.device)
+
+
+def test_each_planned_step_is_on_record_once_with_what_came_of_the_pull(ran):
+    _, folder = ran
+    record = read(folder / "record")
+    pulls = [entry.payload for entry in record.topic(topics.EXPOSED)]
+    planned: dict[int, list[int]] = {}
+    for entry in record.topic(topics.EXPOSURE):
+        planned.setdefault(entry.payload["exposure"], []).append(entry.payload["number"])
+
+    assert pulls and len(record.topic(topics.EXPOSURE_MESH)) == len(planned)
+    assert all(numbers == list(range(1, len(numbers) + 1)) for numbers in planned.values())
+    for exposure, pull in zip(exposures(record), pulls, strict=True):
+        assert exposure.steps == len(pull["path"]) == len(pull["forecast"]["separation"]) == len(exposure.series["opening"])
+        assert exposure.message == pull["message"] and exposure.area is not None
+
+
+def test_a_straight_pull_leaves_nothing_of_the_controller_on_record(small_scene, tmp_path):
+    chosen = options(small_scene, tmp_path / "record", attempts=1, exposure=ExposureKind.NAIVE)
+
+    result = run(chosen, *prepare(chosen), AutoApprover())
+
+    record = read(tmp_path / "record")
+    assert result.exposure == record.header["exposure"] == "naive"
+    assert not record.topic(topics.EXPOSURE)
+    (pull,) = (entry.payload for entry in record.topic(topics.EXPOSED))
+    assert "forecast" not in pull and len(pull["tension"]) == pull["steps"] > 0
+
+
+def test_an_unknown_device_is_refused_before_anything_is_made(small_scene, tmp_path):
+    with pytest.raises(InputError, match="there is no device 'gpu9' here"):
+        prepare(options(small_scene, tmp_path / "record", device="gpu9"))
+    assert not (tmp_path / "record").exists()
 
 
 def test_every_cut_in_the_record_came_after_an_approval_and_the_record_ends_in_hold(ran):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +13,14 @@ from rich.console import Console
 from rich.live import Live
 
 from hardware.codes import InputError
+from supervisor.exposing import in_words
 from supervisor.recent import Recent
 from supervisor.record import Recorder
 from supervisor.snapshot import NodeState, TickSnapshot
 from supervisor.status import STATUS_FILE, read_status
 from supervisor.terminal import TerminalView, picture
 from supervisor.watch import find_running, said, watch
-from tests.supervisor.sessions import OUTCOME, record_session, snapshots
+from tests.supervisor.sessions import OUTCOME, exposure_view, record_session, snapshots
 
 
 def shown(snapshot: TickSnapshot, recent: Recent | None = None, width: int = 120, height: int = 40) -> str:
@@ -47,6 +49,33 @@ def test_the_picture_shows_tree_attempt_guards_forces_and_refusals() -> None:
 def test_attachments_left_are_shown_once_known() -> None:
     text = shown(*at(20.0))
     assert "attachments left  1" in text
+
+
+def test_while_exposing_one_line_says_what_the_controller_expects() -> None:
+    assert "exposing          step 8, 3200 px² open, 0.80 N, 2.4 SD apart" in shown(*at(18.4))
+    assert "px² open" not in shown(*at(14.2)) and "px² open" not in shown(*at(19.2))
+
+
+def test_a_step_without_a_plan_is_said_plainly() -> None:
+    view = replace(exposure_view(1, 3), opening=float("nan"))
+    assert in_words(view) == "step 3, no plan"
+    assert in_words(replace(view, opening=5.0, tension=float("nan"))) == "step 3, 5 px² open, tension unknown, 0.9 SD apart"
+
+
+def test_watching_shows_the_line_of_the_exposure_and_an_older_status_file_has_none(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, {})
+    _, recent = at(18.4)
+    for snapshot in snapshots(images=False):
+        recorder._status._due = -1.0  # no wall time passes in a test
+        recorder.snapshot(snapshot)
+        if snapshot.stamp >= 18.4 - 1e-9:
+            break
+    assert read_status(tmp_path).recent.exposing == recent.exposing != ""
+    status = json.loads((tmp_path / STATUS_FILE).read_text())
+    del status["recent"]["exposing"]
+    (tmp_path / STATUS_FILE).write_text(json.dumps(status))
+    assert read_status(tmp_path).recent.exposing == ""
+    recorder.close(OUTCOME)
 
 
 def test_a_guard_that_waits_says_why() -> None:
@@ -89,6 +118,10 @@ def test_without_a_terminal_each_transition_is_one_line() -> None:
     assert "    3.00 s  attempt 1 of 3" in lines
     assert "    3.00 s  dissect running: dissect: 0 s" in lines
     assert sum("refused PSM1 servo_cp (tension)" in line for line in lines) == 1
+    assert [line for line in lines if "px²" in line] == [
+        "   16.50 s  exposing: step 5, 2000 px² open, 0.50 N, 1.5 SD apart",
+        "   25.50 s  exposing: step 5, 2000 px² open, 0.50 N, 1.5 SD apart",
+    ]
     assert len(lines) < 50 and "\x1b" not in out.getvalue()
 
 

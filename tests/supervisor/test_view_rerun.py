@@ -43,8 +43,38 @@ def test_the_file_is_one_that_rerun_opens(folder: Path, tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     image, bench = ("endoscope/goal", "endoscope/grasp", "endoscope/edges"), ("bench/PSM1", "bench/tissue")
-    for entity in ("states/011", "tree", "signals/tension", "log/gate", *image, *bench):
+    exposure = [f"bench/exposure/{name}" for name in ("expected", "paths", "plan")]
+    signals = [
+        f"signals/{name}" for name in ("tension", "tension/expected", "losses/camera", "losses/deform", "opening", "separation")
+    ]
+    for entity in ("states/011", "tree", "log/gate", *image, *bench, *exposure, *signals):
         assert entity in done.stdout, entity
+
+
+class Logged:
+    """Stands in for a recording stream and keeps what was logged, by entity."""
+
+    def __init__(self) -> None:
+        self.entities: dict[str, list[object]] = {}
+
+    def log(self, entity: str, *what: object, **_: object) -> None:
+        self.entities.setdefault(entity, []).extend(what)
+
+    def __getattr__(self, name: str) -> object:
+        return lambda *_, **__: None
+
+
+def test_what_the_controller_expects_is_shown_while_it_pulls_and_cleared_after(tmp_path: Path) -> None:
+    view, logged = RerunView(tmp_path), Logged()
+    view.close()
+    view._open, view._stream = True, logged  # type: ignore[assignment]
+    for snapshot in snapshots(images=False):
+        view.update(snapshot)
+    assert [len(logged.entities[f"bench/exposure/{name}"]) for name in ("expected", "paths", "plan")] == [18, 18, 18]
+    wires, paths = (logged.entities[f"bench/exposure/{name}"][0] for name in ("expected", "paths"))
+    # Two triangles with a common side have five sides.
+    assert len(wires.strips) == 5 and len(paths.strips) == 16  # type: ignore[attr-defined]
+    assert len(logged.entities["bench/exposure"]) == 2
 
 
 def test_the_server_listens_on_the_loopback_interface_only(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from supervisor.experiments import autonomy
+from supervisor.experiments import journal as journal_module
 from supervisor.experiments.autonomy import AutonomySettings, run_experiment, summary
 from supervisor.experiments.statistics import mean_sd, wilson
 
@@ -94,9 +95,43 @@ def test_trials_of_another_condition_or_program_are_not_used_again(tmp_path, cou
     run_experiment(AutonomySettings(trials=2, feedback=False), journal)
     assert counted == [0, 1]
     counted.clear()
-    monkeypatch.setattr(autonomy, "_program", lambda: "another")
+    monkeypatch.setattr(journal_module, "program", lambda: "another")
     run_experiment(AutonomySettings(trials=2), journal)
     assert counted == [0, 1]
+
+
+def test_trials_of_another_exposure_and_those_of_journals_older_than_the_choice_are_not_used_again(tmp_path, counted):
+    journal = tmp_path / "j.jsonl"
+    run_experiment(AutonomySettings(trials=2), journal)
+    old = [json.loads(line) for line in journal.read_text().splitlines()]
+    for entry in old:
+        del entry["settings"]["expose"]
+    journal.write_text("".join(json.dumps(entry) + "\n" for entry in old))
+    counted.clear()
+
+    run_experiment(AutonomySettings(trials=2), journal)
+    assert counted == [0, 1]
+    counted.clear()
+    figures = run_experiment(AutonomySettings(trials=2, expose="naive"), journal)
+    assert counted == [0, 1]
+    assert figures["expose"] == "naive"
+
+
+def test_a_trial_exposes_as_it_is_told(monkeypatch):
+    chosen = []
+
+    class StoppedError(Exception):
+        pass
+
+    def session(bench, setup, *rest, **more):
+        chosen.append(setup.skills.exposure)
+        raise StoppedError
+
+    monkeypatch.setattr(autonomy, "Session", session)
+    for kind in ("naive", "optimal"):
+        with pytest.raises(StoppedError):
+            autonomy.run_trial(AutonomySettings(expose=kind), 1)
+    assert chosen == ["naive", "optimal"]
 
 
 def test_the_journal_has_one_readable_line_for_each_trial(tmp_path, counted):

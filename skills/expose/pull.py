@@ -1,0 +1,206 @@
+"""What every exposure does: get ready, take the reference image (t_d), pull step by step, leave the tissue stretched (t_e).
+
+Where each step goes is the business of a `Steering`: a fixed direction, or the controller that plans.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from hardware.codes import Code
+from hardware.gate import Lease
+from hardware.interface import CUTTER, GRASPER, Array, MoveReport, MoveStatus, Pose
+from skills.estimate.grid import Grid
+from skills.expose.outcome import ExposeOutcome
+from skills.grasp import Grasped
+from skills.motion import pause, servo_line, wait
+from skills.skill import Steps
+from skills.tracking.tracks import TrackedGoal
+
+
+@dataclass(frozen=True)
+class PullConfig:
+    """Settings of every exposure. Lengths [m], speeds [m/s]."""
+
+    step: float = 0.5e-3
+    steps: int = 35
+    speed: float = 5e-3
+    relaxed: float = 6e-3  # retraction of the grasp at which the reference image is taken
+    settle: float = 0.3  # [s] before the reference and after the pull
+    slip_drop: float = 0.6  # share of the greatest tension so far that is lost when the tissue has left the jaws
+    slip_tension: float = 0.5  # [N] below this tension says nothing about slip
+    keyframe_every: int = 5  # steps
+
+    def __post_init__(self) -> None:
+        lengths = (self.step, self.speed, self.relaxed, self.settle, self.slip_tension)
+        if not all(value > 0 for value in lengths) or self.steps < 1 or self.keyframe_every < 1 or not 0 < self.slip_drop < 1:
+            raise ValueError("lengths, speeds, times and counts of a pull must be positive, and slip_drop a share")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Why a pull goes no further. `code` OK: as far as it should go; anything else is a failure."""
+
+    code: Code
+    message: str
+    stopped_by: Code
+
+
+class Steering(Protocol):
+    """Says where a pull goes. One run, one thread."""
+
+    def begin(self, lease: Lease, goal: TrackedGoal, grid: Grid, grasped: Grasped) -> Steps[Stop | None]:
+        """Look at the tissue at t_d and get ready; or say why nothing can be pulled."""
+        ...
+
+    def step(self, lease: Lease, here: Array, number: int) -> Steps[Array | Stop]:
+        """Displacement (3,) [m] of step `number` (from 1) of the jaws that are at `here` (3,) [m], or why there is none."""
+        ...
+
+    def report(self, outcome: ExposeOutcome) -> ExposeOutcome:
+        """Add to the outcome what only the steering knows."""
+        ...
+
+
+MarkReference = Callable[[], Steps[Grid | None]]
+
+
+class Exposure:
+    """Pulls where its steering says."""
+
+    def __init__(self, config: PullConfig, steering: Steering) -> None:
+        self._config = config
+        self._steering = steering
+        self.steps_done = 0  # of the newest run
+        self.pulling = False  # between t_d and t_e
+
+    def run(
+        self,
+        lease: Lease,
+        tracked: Callable[[], TrackedGoal | None],
+        grasped: Grasped | None,
+        park: Pose,
+        mark_reference: MarkReference,
+    ) -> Steps[ExposeOutcome]:
+        """Park the scissors at `park`, relax, take the reference image (t_d), pull (to t_e)."""
+        config, log = self._config, _Log()
+        self.steps_done = 0
+        try:
+            stop = yield from self._ready(lease, tracked, grasped, park, mark_reference)
+            number, here = 0, lease.setpoint_cp(GRASPER)
+            self.pulling = stop is None
+            while stop is None and number < config.steps:
+                number += 1
+                stop, here = yield from self._step(lease, tracked, number, here, log)
+                self.steps_done = log.steps
+            if stop is None:
+                stop = Stop(Code.OK, f"pulled all {config.steps} steps", Code.EXPOSURE_STEPS_DONE)
+            if stop.code is Code.OK:
+                yield from pause(lease, config.settle, "letting the tissue settle")
+            return self._steering.report(log.outcome(stop, config.keyframe_every))
+        finally:
+            self.pulling = False
+            lease.hold()
+
+    def _ready(
+        self,
+        lease: Lease,
+        tracked: Callable[[], TrackedGoal | None],
+        grasped: Grasped | None,
+        park: Pose,
+        mark_reference: MarkReference,
+    ) -> Steps[Stop | None]:
+        """Everything up to t_d."""
+        if grasped is None:
+            return _failed(Code.GRASP_EMPTY, "no tissue is grasped, so nothing can be exposed")
+        report = yield from wait(lease.move_cp(CUTTER, park), "moving the scissors out of sight")
+        if report.status is MoveStatus.FAILED:
+            return _failed(report.code, report.message)
+        report = yield from self._relax(lease, grasped)
+        if report.status is MoveStatus.FAILED:
+            return _failed(report.code, report.message)
+        yield from pause(lease, self._config.settle, "letting the tissue settle")
+        goal = tracked()
+        if goal is None or goal.lost:
+            return _failed(Code.GOAL_LOST, "the goal cannot be seen well enough to judge an exposure")
+        grid = yield from mark_reference()
+        if grid is None:
+            return _failed(Code.GOAL_LOST, "the tracker gave no reference image")
+        goal = tracked() or goal
+        if goal.lost:
+            return _failed(Code.GOAL_LOST, "the goal was lost from sight while the reference image was taken")
+        return (yield from self._steering.begin(lease, goal, grid, grasped))
+
+    def _relax(self, lease: Lease, grasped: Grasped) -> Steps[MoveReport]:
+        """Come back along the last pull until the grasp is `relaxed` from where it closed."""
+        here = lease.setpoint_cp(GRASPER)
+        out = here.position - grasped.origin.position
+        distance = float(np.linalg.norm(out))
+        if distance <= self._config.relaxed + 1e-6:
+            return MoveReport(MoveStatus.DONE)
+        target = here.at(grasped.origin.position + out * (self._config.relaxed / distance))
+        return (yield from servo_line(lease, GRASPER, target, self._config.speed, "relaxing the tissue"))
+
+    def _step(
+        self, lease: Lease, tracked: Callable[[], TrackedGoal | None], number: int, here: Pose, log: "_Log"
+    ) -> Steps[tuple[Stop | None, Pose]]:
+        """One step of the pull from `here`: why to stop, or None, and where the jaws are sent now."""
+        config = self._config
+        done, doing = f"pulled {number - 1} of {config.steps} steps", f"exposing: step {number} of {config.steps}"
+        step = yield from self._steering.step(lease, here.position, number)
+        if isinstance(step, Stop):
+            return replace(step, message=f"{done}: {step.message}"), here
+        target = here.moved(step)
+        report = yield from servo_line(lease, GRASPER, target, config.speed, doing, here)
+        if report.code in (Code.TENSION, Code.STRAIN):
+            return Stop(Code.OK, f"{done}: {report.message}", report.code), here
+        if report.status is MoveStatus.FAILED:
+            return _failed(report.code, report.message), here
+        now = tracked()
+        log.add(lease.now(), target.position, lease.tension(), now.strain if now else float("nan"))
+        done = f"pulled {number} of {config.steps} steps"
+        if now is None or now.lost:
+            return Stop(Code.OK, f"{done}: the goal is no longer seen well enough", Code.GOAL_LOST), target
+        if log.slipped(config):
+            return Stop(Code.OK, f"{done}: the tissue slipped from the jaws", Code.GRASP_SLIPPED), target
+        return None, target
+
+
+class _Log:
+    """What happened on the way."""
+
+    def __init__(self) -> None:
+        self._stamps: list[float] = []
+        self._path: list[Array] = []
+        self._tension: list[float] = []
+        self._strain: list[float] = []
+
+    def add(self, stamp: float, position: Array, tension: float, strain: float) -> None:
+        """Note one step."""
+        self._stamps.append(stamp)
+        self._path.append(position)
+        self._tension.append(tension)
+        self._strain.append(strain)
+
+    @property
+    def steps(self) -> int:
+        """Steps noted."""
+        return len(self._stamps)
+
+    def slipped(self, config: PullConfig) -> bool:
+        """Whether the tension has fallen so far below its greatest value that little or nothing is held any more."""
+        greatest = max(self._tension)
+        return greatest > config.slip_tension and self._tension[-1] < (1.0 - config.slip_drop) * greatest
+
+    def outcome(self, stop: Stop, keyframe_every: int) -> ExposeOutcome:
+        """Everything noted, with why it ended; the last step is always a keyframe."""
+        keyframes = tuple(self._stamps[::-1][::keyframe_every][::-1])
+        path = np.array(self._path).reshape(-1, 3)
+        tension, strain = np.array(self._tension), np.array(self._strain)
+        return ExposeOutcome(stop.code, stop.message, stop.stopped_by, path, tension, strain, keyframes)
+
+
+def _failed(code: Code, message: str) -> Stop:
+    return Stop(code, message, code)

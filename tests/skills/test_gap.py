@@ -1,0 +1,349 @@
+"""The gap along an edge is the width of what is dark between two lips, and nothing else counts as one."""
+
+import numpy as np
+import pytest
+
+from hardware.interface import Array, Image
+from skills.estimate.gap import GapConfig, GapWatch, darkest_along, gap_along
+
+MIDDLE = np.array([100.0, 80.0])  # of the pictures; every slit runs through it
+ANGLES = np.deg2rad([0.0, 17.0, 45.0, 90.0, 123.0])
+ONE = np.array([[0, 1]])
+LIP = 7.0  # [px] of tissue between an end of an edge and the slit
+
+
+def across(angle: float) -> Array:
+    """Unit vector (2,) across a slit that runs at `angle` [rad]."""
+    return np.array([-np.sin(angle), np.cos(angle)])
+
+
+def slit(width: float, angle: float = 0.0, bed: float = 15.0, falloff: float = 0.0, noise: float = 0.0) -> Image:
+    """Tissue of 150 grey levels with a slit of `width` [px], its borders as a camera blends them; light falls off along u."""
+    v, u = np.mgrid[0:160, 0:200].astype(np.float64)
+    distance = abs((u - MIDDLE[0]) * across(angle)[0] + (v - MIDDLE[1]) * across(angle)[1])
+    share = np.clip(width / 2 - distance + 0.5, 0.0, min(width, 1.0))
+    grey = (150.0 * (1 - share) + bed * share) * (1 + falloff * (u - MIDDLE[0]) / MIDDLE[0])
+    rgb = grey[..., None] * np.array([1.0, 0.6, 0.5])
+    rgb = rgb + np.random.default_rng(1).normal(0.0, noise, rgb.shape)
+    return np.asarray(np.clip(np.rint(rgb), 0, 255), dtype=np.uint8)
+
+
+def edge(half: float, direction: Array, middle: Array = MIDDLE) -> Array:
+    """Ends (2, 2) of an edge of length 2 `half` [px]."""
+    return np.array([middle - half * direction, middle + half * direction])
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("width", [2.0, 2.5, 3.0, 5.0, 8.0, 15.0, 30.0])
+def test_a_slit_is_measured_to_a_pixel(width, angle, noise):
+    image = slit(width, angle, noise=noise)
+
+    widths = [
+        gap_along(image, edge(width / 2 + LIP, across(angle), MIDDLE + shift * across(angle - np.pi / 2)), ONE)[0]
+        for shift in (-9.3, -4.0, 0.0, 2.6, 7.5)
+    ]
+
+    assert widths == pytest.approx([width] * 5, abs=1.0)
+
+
+@pytest.mark.parametrize("width", [60.0, 100.0, 140.0])
+def test_an_opening_much_wider_than_its_lips_is_measured_too(width):
+    image = np.repeat(slit(width / 2), 2, axis=0)  # twice as high, so that it fits
+
+    assert gap_along(image, edge(width / 2 + LIP, across(0.0), np.array([100.0, 160.5])), ONE)[0] == pytest.approx(width, abs=2.0)
+
+
+@pytest.mark.parametrize("slant", np.deg2rad([20.0, 40.0]))
+def test_an_edge_that_crosses_a_slit_at_a_slant_lies_in_it_for_longer(slant):
+    width = gap_along(slit(8.0), edge(20.0, across(slant)), ONE)[0]
+
+    assert width == pytest.approx(8.0 / np.cos(slant), abs=1.0)
+
+
+@pytest.mark.parametrize("shift", [-6.0, 6.0])
+def test_where_on_the_edge_the_slit_lies_does_not_matter(shift):
+    width = gap_along(slit(5.0), edge(20.0, across(0.0), MIDDLE + shift * across(0.0)), ONE)[0]
+
+    assert width == pytest.approx(5.0, abs=1.0)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_closed_tissue_has_no_gap(angle):
+    assert gap_along(slit(0.0, noise=2.0), edge(20.0, across(angle)), ONE)[0] == 0.0
+
+
+@pytest.mark.parametrize("width", [2.0, 12.0])
+def test_light_that_falls_off_across_the_picture_does_not_matter(width):
+    upright = np.pi / 2
+    image = slit(width, upright, falloff=-0.8, noise=2.0)
+
+    assert gap_along(image, edge(width / 2 + 25.0, across(upright)), ONE)[0] == pytest.approx(width, abs=1.0)
+
+
+def test_light_that_falls_off_is_no_gap():
+    image = slit(0.0, falloff=-0.8, noise=2.0)
+
+    assert gap_along(image, edge(90.0, np.array([1.0, 0.0])), ONE)[0] == 0.0
+
+
+@pytest.mark.parametrize("width", [4.0, 20.0])
+def test_a_shallow_shadow_is_no_gap(width):
+    image = slit(width, bed=0.7 * 150.0, noise=2.0)
+
+    assert gap_along(image, edge(width / 2 + LIP, across(0.0)), ONE)[0] == 0.0
+
+
+def test_what_is_bright_in_one_colour_is_no_gap():
+    blood = slit(12.0)
+    blood[..., 0] = 150
+
+    assert gap_along(blood, edge(20.0, across(0.0)), ONE)[0] == 0.0
+
+
+def test_of_two_slits_the_wider_one_counts():
+    image = np.minimum(slit(4.0), np.roll(slit(9.0), 25, axis=0))
+
+    width = gap_along(image, np.array([[100.0, 65.0], [100.0, 125.0]]), ONE)[0]
+
+    assert width == pytest.approx(9.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        (np.nan, 90.0),
+        (100.0, np.nan),
+        (np.inf, 90.0),
+        (100.0, -np.inf),
+        (-0.5, 90.0),
+        (199.5, 90.0),
+        (100.0, -0.5),
+        (100.0, 159.5),
+    ],
+)
+def test_an_edge_that_leaves_the_picture_has_no_known_gap_and_others_keep_theirs(end):
+    points = np.array([[100.0, 70.0], end, [100.0, 90.0]])
+
+    widths = gap_along(slit(6.0), points, np.array([[0, 1], [1, 0], [0, 2]]))
+
+    assert np.isnan(widths[:2]).all()
+    assert widths[2] == pytest.approx(6.0, abs=1.0)
+
+
+def test_an_edge_along_the_pictures_border_is_seen():
+    corners = np.array([[0.0, 0.0], [0.0, 159.0], [199.0, 0.0], [199.0, 159.0]])
+
+    assert gap_along(slit(6.0), corners, np.array([[0, 1], [2, 3]])) == pytest.approx([6.0, 6.0], abs=1.0)
+
+
+def test_an_edge_without_length_has_no_gap():
+    assert gap_along(slit(6.0), np.array([[100.0, 80.0], [100.0, 80.0]]), ONE)[0] == 0.0
+
+
+def test_no_edges_have_no_gaps():
+    assert gap_along(slit(6.0), np.zeros((0, 2)), np.zeros((0, 2), dtype=np.int64)).shape == (0,)
+
+
+def test_each_edge_is_judged_by_itself():
+    points = np.array([[60.0, 65.0], [60.0, 95.0], [120.0, 20.0], [120.0, 50.0], [140.0, 65.0], [140.0, 95.0]])
+    image = slit(6.0)
+    image[:, 130:] = (slit(12.0) // 2)[:, 130:]
+
+    assert gap_along(image, points, np.array([[0, 1], [2, 3], [4, 5]])) == pytest.approx([6.0, 0.0, 12.0], abs=1.0)
+
+
+def test_many_edges_of_one_length_give_what_each_gives_alone():
+    image = slit(7.0, 0.3, noise=2.0)
+    rng = np.random.default_rng(3)
+    directions = [across(angle) for angle in rng.uniform(-0.6, 1.2, 40)]
+    middles = MIDDLE + rng.uniform(-15.0, 15.0, (40, 1)) * np.array([np.cos(0.3), np.sin(0.3)])
+    equal = np.concatenate([edge(17.9, d, m) for d, m in zip(directions, middles, strict=True)])
+    edges = np.arange(80).reshape(40, 2)
+
+    together = gap_along(image, equal, edges)
+
+    alone = np.array([gap_along(image, equal, one[None])[0] for one in edges])
+    assert np.array_equal(together, alone)
+    assert together.min() > 5.0
+
+
+def test_a_longer_edge_beside_it_changes_a_width_by_less_than_two_samples():
+    image = slit(7.0, noise=2.0)
+    points = np.concatenate([edge(half, across(0.1)) for half in np.linspace(10.0, 70.0, 40)])
+    edges = np.arange(80).reshape(40, 2)
+
+    together = gap_along(image, points, edges)
+
+    alone = np.array([gap_along(image, points, one[None])[0] for one in edges])
+    assert np.abs(together - alone).max() < 2 * GapConfig().sample
+
+
+def test_the_picture_is_left_as_it_was():
+    image = slit(7.0)
+    before = image.copy()
+
+    gap_along(image, edge(20.0, across(0.0)), ONE)
+
+    assert np.array_equal(image, before)
+
+
+# Against the reference picture
+
+
+def widened(*widths: float) -> object:
+    """About these widths [px]: where the tissue was evenly bright, a slit's blurred borders count as well."""
+    return pytest.approx([width + 1.5 for width in widths], abs=1.6)
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("width", [4.0, 12.0])
+def test_a_faint_slit_counts_where_the_tissue_was_evenly_bright(width, angle):
+    before, now = slit(0.0, noise=2.0), slit(width, angle, bed=0.8 * 150.0, noise=2.0)
+    ends = edge(width / 2 + LIP, across(angle))
+
+    measured = gap_along(now, ends, ONE, darkest_before=darkest_along(before, ends, ONE))
+
+    assert measured == widened(width)
+    assert gap_along(now, ends, ONE)[0] == 0.0
+
+
+@pytest.mark.parametrize("vessel", [0.95, 0.85, 0.7, 0.5])
+def test_what_was_dark_before_is_no_gap_unless_it_is_very_dark(vessel):
+    picture = slit(6.0, bed=vessel * 150.0, noise=2.0)
+    ends = edge(20.0, across(0.0))
+
+    measured = gap_along(picture, ends, ONE, darkest_before=darkest_along(picture, ends, ONE))
+
+    assert measured[0] == (pytest.approx(6.0, abs=1.5) if vessel < GapConfig().dark else 0.0)
+
+
+def test_a_slit_beside_a_vessel_counts_only_if_it_is_darker():
+    before = slit(6.0, bed=0.85 * 150.0)
+    ends = np.array([[100.0, 55.0], [100.0, 115.0]])
+    darkest = darkest_along(before, ends, ONE)
+
+    for bed, width in ((0.83, 0.0), (0.72, 8.0)):
+        now = np.minimum(before, np.roll(slit(8.0, bed=bed * 150.0), 18, axis=0))
+        assert gap_along(now, ends, ONE, darkest_before=darkest)[0] == pytest.approx(width, abs=1.0)
+
+
+def test_an_edge_that_was_not_seen_before_is_judged_without_a_reference():
+    ends = np.concatenate([edge(12.0, across(0.0)), edge(12.0, across(0.0), MIDDLE + np.array([40.0, 0.0]))])
+    edges = np.array([[0, 1], [2, 3]])
+
+    faint = gap_along(slit(6.0, bed=0.8 * 150.0), ends, edges, darkest_before=np.array([np.nan, 0.99]))
+    dark = gap_along(slit(6.0), ends, edges, darkest_before=np.array([np.nan, 0.99]))
+
+    assert faint[0] == 0.0
+    assert dark[0] == pytest.approx(6.0, abs=1.0)
+    assert [faint[1], dark[1]] == widened(6.0, 6.0)
+
+
+def test_noise_and_falling_light_are_no_gap_against_a_reference():
+    rng = np.random.default_rng(7)
+    ends = rng.uniform([20.0, 20.0], [180.0, 140.0], (60, 2))
+    edges = np.arange(60).reshape(30, 2)
+    before, now = slit(0.0, falloff=-0.3, noise=2.0), slit(0.0, falloff=-0.35, noise=2.0)[::-1]
+
+    short = edges[np.linalg.norm(ends[edges[:, 0]] - ends[edges[:, 1]], axis=1) < 60.0]
+
+    assert len(short) > 5
+    assert (gap_along(now, ends, short, darkest_before=darkest_along(before, ends, short)) == 0.0).all()
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_the_darkest_place_is_a_share_of_the_brightness_at_the_ends(share):
+    picture = slit(8.0, bed=share * 150.0)
+
+    assert darkest_along(picture, edge(20.0, across(0.0)), ONE)[0] == pytest.approx(share, abs=0.02)
+    assert darkest_along(picture // 2, edge(20.0, across(0.0)), ONE)[0] == pytest.approx(share, abs=0.03)
+
+
+def test_the_darkest_place_of_an_edge_that_leaves_the_picture_is_not_known():
+    points = np.array([[100.0, 70.0], [100.0, np.nan], [100.0, 90.0], [-3.0, 80.0]])
+
+    darkest = darkest_along(slit(6.0), points, np.array([[0, 1], [0, 2], [2, 3]]))
+
+    assert np.isnan(darkest).tolist() == [True, False, True]
+
+
+# Watched over time
+
+ENDS = np.concatenate([edge(20.0, across(0.0), MIDDLE + np.array([x, 0.0])) for x in (-40.0, 40.0)])
+TWO = np.array([[0, 1], [2, 3], [0, 2]])
+CROSSES = np.array([True, True, False])
+ALL = np.ones(4, dtype=bool)
+
+
+def watched(*widths: float) -> GapWatch:
+    """A watch over two edges across the goal that looked at slits of these widths [px] after closed tissue at t_d."""
+    watch = GapWatch(slit(0.0), ENDS, TWO, CROSSES)
+    for width in widths:
+        watch.look(slit(width), ENDS, ALL)
+    return watch
+
+
+def test_the_widest_opening_is_kept_when_it_closes_again():
+    assert watched(4.0, 9.0, 9.0, 3.0, 0.0).widest()[:2] == widened(9.0, 9.0)
+
+
+def test_a_faint_slit_that_opens_while_it_is_watched_counts():
+    watch = watched()
+    for _ in range(2):
+        watch.look(slit(9.0, bed=0.8 * 150.0), ENDS, ALL)
+
+    assert watch.widest()[:2] == widened(9.0, 9.0)
+
+
+def test_what_is_seen_in_one_look_only_does_not_count():
+    assert (watched(0.0, 12.0, 0.0, 0.0).widest()[:2] == 0.0).all()
+
+
+def test_an_opening_that_grows_counts_as_wide_as_it_was_twice():
+    assert watched(4.0, 8.0, 12.0).widest()[:2] == widened(8.0, 8.0)
+
+
+def test_a_slit_that_is_open_only_at_first_counts():
+    watch = GapWatch(slit(6.0), ENDS, TWO, CROSSES)
+    for width in (6.0, 0.0, 0.0):
+        watch.look(slit(width), ENDS, ALL)
+
+    assert watch.widest()[:2] == pytest.approx([6.0, 6.0], abs=1.0)
+
+
+def test_edges_that_do_not_cross_the_goal_are_not_watched():
+    assert np.isnan(watched(9.0, 9.0).widest()).tolist() == [False, False, True]
+
+
+def test_before_a_second_look_nothing_is_known():
+    assert np.isnan(watched().widest()).all()
+
+
+def test_an_end_that_is_not_seen_leaves_its_edge_out():
+    watch = watched()
+    for seen in (ALL, np.array([False, True, True, True])) * 2:
+        watch.look(slit(9.0), ENDS, seen)
+
+    widest = watch.widest()
+
+    # The first edge was never seen open in two looks in a row.
+    assert widest[0] == 0.0
+    assert widest[1:2] == widened(9.0)
+
+
+def test_an_edge_is_followed_where_its_ends_go():
+    watch = watched()
+    for shift in (5.0, 10.0, 15.0):
+        watch.look(np.roll(slit(7.0), int(shift), axis=0), ENDS + np.array([0.0, shift]), ALL)
+
+    assert watch.widest()[:2] == widened(7.0, 7.0)
+
+
+def test_a_vessel_that_was_there_at_first_is_no_opening():
+    vessel = slit(6.0, bed=0.75 * 150.0, noise=2.0)
+    watch = GapWatch(vessel, ENDS, TWO, CROSSES)
+    for _ in range(3):
+        watch.look(vessel, ENDS, ALL)
+
+    assert (watch.widest()[:2] == 0.0).all()
