@@ -24,7 +24,7 @@ import numpy as np
 
 from benchmarks.exposure_convergence import convergence
 from benchmarks.exposure_plot import plot
-from benchmarks.exposure_update import Scene, mppi_update, next_nominal, scene, smoothing_problems
+from benchmarks.exposure_update import Scene, mppi_update, scene, smoothing_problems
 from benchmarks.peers import missing
 from benchmarks.peers.newton_xpbd import NewtonRunner
 from benchmarks.peers.ours import OurRunner
@@ -115,15 +115,13 @@ def ratio(rows: list[dict[str, Any]], peer: str, ours: str) -> float | None:
 def updates(rounds: int, cores: int, rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, float]]:
     """Whole MPPI updates for each mesh, each going on from the one before, and the smoothing alone [ms]."""
     scenes = {f"{side}x{side}x{SAMPLES}x{HORIZON}": scene(side, SAMPLES, HORIZON, cores) for side in MESHES}
-    nominal = {name: np.tile(0.3e-3 * made.toward, (HORIZON, 1)) for name, made in scenes.items()}
 
     def update(name: str) -> float:
         start = time.perf_counter()
-        smoothed = mppi_update(scenes[name], nominal[name], np.zeros((2, 3)), rng)
+        plan = mppi_update(scenes[name])
         taken = time.perf_counter() - start
-        if not np.abs(smoothed.steps).max() > 0.0:
-            raise PeerError(f"the update gave no motion: {smoothed.message}")
-        nominal[name] = next_nominal(smoothed.steps)
+        if not np.abs(plan.step).max() > 0.0:
+            raise PeerError(f"the update gave no motion: {plan.message}")
         return taken
 
     sides: dict[str, Callable[[], float]] = {name: lambda name=name: update(name) for name in scenes}  # type: ignore[misc]

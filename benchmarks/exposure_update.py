@@ -8,10 +8,10 @@ import numpy as np
 
 from hardware.interface import Array, CameraModel
 from skills.expose.model import TissueModel, build_model
-from skills.expose.mppi import MppiConfig, controls, perturbations, shifted, updated
+from skills.expose.mppi import MppiConfig
+from skills.expose.planner import Limits, Plan, Planner, PlannerConfig, Situation
 from skills.expose.region import region_around
-from skills.expose.smoothing import Predicted, Smoothed, Smoother, SmoothingConfig, SmoothingProblem, sensitivities
-from skills.expose.visibility import LossWeights, Visibility, cost, lips_of
+from skills.expose.smoothing import Predicted, Smoother, SmoothingConfig, SmoothingProblem
 from skills.expose.xpbd import State, XpbdConfig, XpbdSolver, rest_state
 from skills.scene.lattice import Lattice
 from skills.scene.surface import Surface
@@ -32,7 +32,8 @@ class Scene:
     model: TissueModel
     state: State
     solver: XpbdSolver
-    visibility: Visibility
+    planner: Planner
+    situation: Situation
     smoother: Smoother
     grasp: Array  # (3,) [m]
     toward: Array  # (3,) unit vector across the goal: where a plan starts
@@ -64,36 +65,27 @@ def scene(side: int, samples: int, horizon: int, threads: int) -> Scene:
     model = build_model(surface, grasp)
     region = region_around(goal, grasp, surface, CAMERA)
     config = MppiConfig(samples=samples, horizon=horizon)
+    toward = (ahead[1] - ahead[0]) / np.linalg.norm(ahead[1] - ahead[0])
+    planning = PlannerConfig(mppi=config, xpbd=XpbdConfig(substeps=2, iterations=10))
+    limits = Limits(grasp - 0.03, grasp + 0.03, TENSION, STRAIN)
+    planner = Planner(model, surface, region, CAMERA, limits, planning, np.random.default_rng(1), "cpu", threads)
+    planner.begin(toward)
     return Scene(
         config=config,
         model=model,
         state=rest_state(model, joined=0.0),
         solver=XpbdSolver(model, samples, horizon, XpbdConfig(substeps=2, iterations=10), threads=threads),
-        visibility=Visibility(region, model.triangles, CAMERA, lips_of(surface, model.seams), threads=threads),
+        planner=planner,
+        situation=Situation(grasp, grasp - 0.02 * toward, np.zeros((2, 3)), 0.0, 1.0),
         smoother=Smoother(SmoothingConfig(max_step=config.max_step), horizon),
         grasp=grasp,
-        toward=(ahead[1] - ahead[0]) / np.linalg.norm(ahead[1] - ahead[0]),
+        toward=toward,
     )
 
 
-def mppi_update(scene: Scene, nominal: Array, past: Array, rng: np.random.Generator) -> Smoothed:
-    """Sample, roll out, judge, average and smooth: from the `nominal` (h, 3) [m] and the `past` (2, 3) steps to the next scene."""
-    samples = controls(nominal, perturbations(rng, scene.config), scene.config.max_step)
-    rollout = scene.solver.rollout(scene.state, samples)
-    costs, feasible = cost(scene.visibility.terms(rollout), LossWeights())
-    update = updated(nominal, samples, costs, feasible, scene.config)
-    return scene.smoother.solve(
-        SmoothingProblem(
-            nominal=update.nominal,
-            position=scene.grasp,
-            past=past,
-            low=scene.grasp - 0.03,
-            high=scene.grasp + 0.03,
-            other_tool=scene.grasp - 0.02 * scene.toward,
-            tension=Predicted(*sensitivities(samples, rollout.tension, update.nominal), TENSION),
-            strain=Predicted(*sensitivities(samples, rollout.strain, update.nominal), STRAIN),
-        )
-    )
+def mppi_update(scene: Scene) -> Plan:
+    """One planning step of the controller as it is: sample, roll out, judge, average and smooth."""
+    return scene.planner.update(scene.state, scene.situation)
 
 
 def smoothing_problems(scene: Scene, count: int, rng: np.random.Generator) -> list[SmoothingProblem]:
@@ -111,11 +103,6 @@ def smoothing_problems(scene: Scene, count: int, rng: np.random.Generator) -> li
         problems.append(replace(problem, tension=predicted, strain=replace(predicted, limit=5.0)))
         past = np.stack([past[1], 0.9 * longest * direction])
     return problems
-
-
-def next_nominal(steps: Array) -> Array:
-    """The plan to start the next update from."""
-    return shifted(steps)
 
 
 def _pixels(station: Array, lateral: Array, length: float) -> Array:

@@ -24,7 +24,7 @@ from skills.expose.optimal import OptimalConfig, SteeringOptimal, View
 from skills.expose.outcome import ExposeOutcome
 from skills.expose.pull import Exposure, PullConfig, Steering
 from skills.expose.straight import Direction, SteeringStraight
-from skills.grasp import GraspConfig
+from skills.grasp import GraspConfig, Grasped
 from skills.replan.candidates import ReplanConfig
 from skills.replan.greedy import next_goal
 from skills.replan.next_goal import NextGoal
@@ -37,7 +37,7 @@ from skills.skill import Progress, Steps, computed
 from skills.tracking.goal_tracker import GoalTracker, GoalTrackerConfig
 from skills.tracking.outcome import TrackOutcome
 from skills.tracking.strain import StrainConfig, StrainGauge
-from skills.tracking.tracks import TrackedGoal
+from skills.tracking.tracks import TrackedGoal, Tracks
 
 
 class ExposureKind(StrEnum):
@@ -88,6 +88,8 @@ class SessionSkills:
         self._reference_wanted = False
         self._due = -np.inf
         self._gauge: StrainGauge | None = None
+        self.keyframes: list[Tracks] = []  # of the grid's keypoints, since the newest reference
+        self._keyframe_due = 0
         self._strain, self._strain_seen, self._strain_due = float("nan"), -np.inf, -np.inf
         self._park: Pose | None = None
         self.frame: Frame | None = None
@@ -122,12 +124,14 @@ class SessionSkills:
                     yield from computed(self._executor, "taking the reference", self._tracker.mark_reference, self.frame)
                     self._tracked = self._tracker.tracked()
                     yield from computed(self._executor, "measuring depth", self._begin_strain)
+                    self._tracked = replace(self._tracked, strain=self._strain)
                     self._reference_wanted = False
                 else:
                     self._tracked = yield from computed(self._executor, "following the goal", self._tracker.update, self.frame)
                     if self._exposure.pulling and bench.now() >= self._strain_due:
                         yield from computed(self._executor, "measuring strain", self._read_strain)
                     self._tracked = replace(self._tracked, strain=self._strain)
+                    self._keep_keyframe()
             yield Progress("following the goal")
 
     def tracked(self) -> TrackedGoal | None:
@@ -147,6 +151,11 @@ class SessionSkills:
         """Pull the tissue, with a reference image (t_d) before it."""
         park = self._park or lease.measured_cp(CUTTER).value
         return (yield from self._exposure.run(lease, self.tracked, self._agent.grasped, park, self._mark_reference))
+
+    @property
+    def grasped(self) -> Grasped | None:
+        """Tissue in the jaws."""
+        return self._agent.grasped
 
     @property
     def exposure_step(self) -> int:
@@ -199,6 +208,7 @@ class SessionSkills:
         grid = self._tracker.grid()
         if grid is None:
             return
+        self.keyframes, self._keyframe_due = [], self._config.pull.keyframe_every
         self._gauge = StrainGauge(grid, self._depth(grid.points), self._gate.bench.endoscope.camera, self._config.strain)
         self._strain, self._strain_seen = 0.0, self._gate.bench.now()
         self._gate.report_strain(0.0, self._strain_seen)
@@ -215,6 +225,14 @@ class SessionSkills:
         elif now - self._strain_seen > config.patience:
             self._strain = float("nan")
         self._gate.report_strain(self._strain, now)
+
+    def _keep_keyframe(self) -> None:
+        """Keep where the keypoints are after every few steps of a pull, for the estimate: the history of each edge."""
+        assert self._tracker is not None
+        step = self._exposure.steps_done
+        if self._exposure.pulling and step >= self._keyframe_due:
+            self._keyframe_due = step + self._config.pull.keyframe_every
+            self.keyframes.append(self._tracker.grid_tracks()[1])
 
     def _depth(self, points: Array) -> DepthMap:
         """Stereo depth around `points` (N, 2), those that are finite."""

@@ -42,7 +42,12 @@ class SeparationConfig:
 
     def __post_init__(self) -> None:
         if not (
-            self.strand > 0 and self.pixel_error > 0 and self.model_error >= 0 and 0 <= self.quantile <= 1 and self.enough > 0
+            self.strand > 0
+            and self.pixel_error > 0
+            and self.model_error >= 0
+            and 0 <= self.quantile <= 1
+            and self.enough > 0
+            and 0 < self.parted < self.expected
         ):
             raise ValueError("the settings of the separation must be positive, and its quantile a share")
 
@@ -128,7 +133,8 @@ class Hypotheses:
         rho = np.linalg.norm(pixels[:, ends[:, 0]] - pixels[:, ends[:, 1]], axis=2) / self._before
         strand = rho[STRANDS][np.arange(len(self._nearest)), self._nearest]
         station = self._grid.station[self.edges]
-        alone = np.interp(station, station[self._nearest], strand)
+        seen = np.isfinite(strand)  # a strand's edge may lie off the mesh, at the goal's ends
+        alone = np.interp(station, station[self._nearest][seen], strand[seen]) if seen.any() else np.full(len(station), np.nan)
         severed, connected = rho[SEVERED], np.maximum(rho[CONNECTED], alone)
         c = self._config
         grown = np.abs(np.stack([severed, connected]) - 1.0) * self._before

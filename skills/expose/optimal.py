@@ -18,7 +18,7 @@ from hardware.codes import Code
 from hardware.gate import Lease
 from hardware.interface import CUTTER, GRASPER, Array, CameraModel, StereoFrame
 from skills.estimate.grid import Grid
-from skills.expose.hypotheses import BELIEVED, Hypotheses, SeparationConfig, Stretch
+from skills.expose.hypotheses import DECIDED, Hypotheses, SeparationConfig, Stretch
 from skills.expose.model import ModelConfig, TissueModel, build_model
 from skills.expose.outcome import ExposeOutcome, Forecast, Planned
 from skills.expose.planner import Limits, Plan, Planner, PlannerConfig, Situation
@@ -34,6 +34,8 @@ from skills.scene.tissue import TissueConfig, tissue_mask, tool_mask
 from skills.skill import Progress, Steps, computed
 from skills.tracking.tracks import TrackedGoal
 
+MARGIN = 0.5e-3  # [m] that a plan stays inside the gate's workspace and farther from the other tool
+HEADROOM = 1.1  # what a plan may use of the budget of strain: kept to just that, the pull would creep towards it for ever
 LEAST_PULL = 0.5e-3  # [m] below which the force says nothing about the tissue
 MEMBRANE = ModelConfig()
 PLATE = ModelConfig(stretch=1000.0, bending=2e-4, free_adhesion=2e6, adhesion_limit=2e-3)
@@ -112,10 +114,10 @@ class SteeringOptimal:
         pair, camera = lease.endoscope.stereo(), lease.endoscope.camera
         limits = lease.limits
         bounds = Limits(
-            np.array(limits.workspace_lower),
-            np.array(limits.workspace_upper),
+            np.array(limits.workspace_lower) + MARGIN,
+            np.array(limits.workspace_upper) - MARGIN,
             self._config.tension_budget * limits.tension_stop,
-            self._config.strain_budget if self._config.stop_early else math.inf,
+            HEADROOM * self._config.strain_budget if self._config.stop_early else math.inf,
         )
         made = yield from computed(
             self._executor, "building the tissue model", self._build, pair, camera, goal, grid, grasp, pulled, tension, bounds
@@ -134,10 +136,10 @@ class SteeringOptimal:
             self._executor, f"planning step {number}", run.next, here, other, lease.tension(), self._gaps(), number
         )
         self.view = run.view
-        if plan.code is not Code.OK:
-            return Stop(Code.OK if number > 1 else plan.code, plan.message, plan.code)
         if run.stop is not None and self._config.stop_early:
             return run.stop
+        if plan.code is not Code.OK:
+            return Stop(Code.OK if number > 1 else plan.code, plan.message, plan.code)
         return plan.step
 
     def report(self, outcome: ExposeOutcome) -> ExposeOutcome:
@@ -171,10 +173,10 @@ class SteeringOptimal:
             region = region_around(goal.polyline, grasp, surface, camera, config.planner.region)
             model = likeliest(models, pulled, config.planner.xpbd)
             planner = Planner(model, surface, region, camera, limits, config.planner, self._rng, config.device, config.threads)
+            hypotheses = Hypotheses(model, surface, grid, camera, config.separation, config.planner.xpbd, "cpu")
         except ValueError as error:
             # A grasp off the surface, a goal too short for the lattice, a region all hidden: the picture does not carry a model.
             return Stop(Code.SURFACE_INVALID, f"no tissue model can be built on the surface seen: {error}", Code.SURFACE_INVALID)
-        hypotheses = Hypotheses(model, surface, grid, camera, config.separation, config.planner.xpbd, "cpu")
         planner.begin(_first_guess(goal, depth, camera, surface))
         preload = tension if math.isfinite(tension) else 0.0
         return _Run(config, model, planner, hypotheses, preload)
@@ -278,23 +280,24 @@ class _Run:
         if gaps is not None:
             self._hypotheses.see(gaps)
         self._past = np.vstack([self._past[1:], step])
-        expected = float(self._hypotheses.tension[BELIEVED])
+        expected = float(self._hypotheses.tension[self._config.planner.hypothesis])
         if math.isfinite(tension) and expected > 0.02:
             # The force sensor is noisy: the ratio follows slowly.
             self._scale += 0.3 * (float(np.clip((tension - self._preload) / expected, 0.3, 10.0)) - self._scale)
         stretch = self._hypotheses.stretch()
         self._stretches.append(stretch)
         self._separations.append(self._hypotheses.separation(stretch))
-        self._strains.append(float(self._hypotheses.strain[BELIEVED]))
-        self.stop = self._decided(tension)
+        self._strains.append(float(self._hypotheses.strain[self._config.planner.hypothesis]))
+        self.stop = self._decided()
 
-    def _decided(self, tension: float) -> Stop | None:
+    def _decided(self) -> Stop | None:
         """Stop when what matters is clear, or when it only gets worse."""
         c, apart = self._config, self._separations
         if len(apart) < c.least_steps:
             return None
         if apart[-1] >= c.separation.enough:
-            said = f"severed and connected tissue are {apart[-1]:.1f} standard deviations apart"
+            told = "every edge across the goal has been seen to part or to hold"
+            said = told if apart[-1] >= DECIDED else f"severed and connected tissue are {apart[-1]:.1f} standard deviations apart"
             return Stop(Code.OK, said, Code.EXPOSURE_SEPARATED)
         if self._strains[-1] >= c.strain_budget:
             return Stop(Code.OK, f"tissue beside the goal is stretched by {self._strains[-1]:.0%} by now", Code.STRAIN)

@@ -14,8 +14,8 @@ class Forecast:
     """How the model expects the edges of the keypoint grid to lengthen, if the goal is severed and if it is connected.
 
     `edges` (C,) index the grid's edges that cross the goal; `severed` and `connected` (S, C) are their expected elongation after
-    each step of the path, `connected` being that of a strand left alone where the edge is, which stretches most; `separation` (S,)
-    in standard deviations, reached by nine edges in ten.
+    each step of the path, `connected` being that of a strand left alone where the edge is, which stretches most; `separation` (S,) in
+    standard deviations, that of the edge which is hardest to tell.
     """
 
     edges: NDArray[np.int64]

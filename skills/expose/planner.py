@@ -49,7 +49,7 @@ class PlannerConfig:
     xpbd: XpbdConfig = field(default_factory=XpbdConfig)
     region: RegionConfig = field(default_factory=RegionConfig)
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
-    smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
+    smoothing: SmoothingConfig = field(default_factory=lambda: SmoothingConfig(min_tool_distance=3.5e-3))  # the gate's is 3 mm
 
     def __post_init__(self) -> None:
         if self.stride < 1:

@@ -75,6 +75,7 @@ class Exposure:
         self._steering = steering
         self.steps_done = 0  # of the newest run
         self.pulling = False  # between t_d and t_e
+        self._begun = False  # whether the steering has looked at this run's tissue
 
     def run(
         self,
@@ -86,7 +87,7 @@ class Exposure:
     ) -> Steps[ExposeOutcome]:
         """Park the scissors at `park`, relax, take the reference image (t_d), pull (to t_e)."""
         config, log = self._config, _Log()
-        self.steps_done = 0
+        self.steps_done, self._begun = 0, False
         try:
             stop = yield from self._ready(lease, tracked, grasped, park, mark_reference)
             number, here = 0, lease.setpoint_cp(GRASPER)
@@ -99,7 +100,8 @@ class Exposure:
                 stop = Stop(Code.OK, f"pulled all {config.steps} steps", Code.EXPOSURE_STEPS_DONE)
             if stop.code is Code.OK:
                 yield from pause(lease, config.settle, "letting the tissue settle")
-            return self._steering.report(log.outcome(stop, config.keyframe_every))
+            outcome = log.outcome(stop, config.keyframe_every)
+            return self._steering.report(outcome) if self._begun else outcome
         finally:
             self.pulling = False
             lease.hold()
@@ -131,6 +133,7 @@ class Exposure:
         goal = tracked() or goal
         if goal.lost:
             return _failed(Code.GOAL_LOST, "the goal was lost from sight while the reference image was taken")
+        self._begun = True
         return (yield from self._steering.begin(lease, goal, grid, grasped))
 
     def _relax(self, lease: Lease, grasped: Grasped) -> Steps[MoveReport]:

@@ -65,7 +65,7 @@ class GoalTracker:
         tracked = self._read()
         if self._gaps is not None:
             part = self._grid_part()
-            self._gaps.look(frame.image, part.points, part.visible)
+            self._gaps.look(frame.image, self._beside_the_goal(part), part.visible)
         return tracked
 
     def tracked(self) -> TrackedGoal:
@@ -140,6 +140,22 @@ class GoalTracker:
         if self._grid_valid:
             return part
         return replace(part, visible=np.zeros_like(part.visible), confidence=np.zeros_like(part.confidence))
+
+    def _beside_the_goal(self, part: Tracks) -> Array:
+        """The keypoints, those of the two rows next to the goal made smooth along it.
+
+        One that has drifted by a station or two would look for an opening across its neighbour's place, not its own.
+        """
+        grid = self._grid
+        assert grid is not None
+        columns = int(grid.crosses_goal.sum())
+        points = part.points.copy()
+        for first in (len(points) // 2 - columns, len(points) // 2):
+            row = slice(first, first + columns)
+            points[row], _ = smooth_row(
+                grid.points[row], part.points[row], part.visible[row], part.confidence[row], self.config.rows
+            )
+        return points
 
     def _require_started(self) -> TrackedGoal:
         if self._tracked is None:

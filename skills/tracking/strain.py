@@ -26,7 +26,7 @@ class StrainConfig:
     period: float = 0.3  # [s] between looks
     patience: float = 1.0  # [s] without a usable look after which the strain is unknown
     min_confidence: float = 0.5
-    min_edges: int = 8  # fewer say nothing
+    min_edges: int = 8  # fewer, along the goal or across it, say nothing
     percentile: float = 90.0  # not the largest: single edges are noisy, and must not stop a pull
     rows: RowConfig = field(default_factory=RowConfig)
     degree: int = 3  # of the surface of either side
@@ -50,7 +50,9 @@ class StrainGauge:
         points, sure = self._smoothed(points, visible & (confidence >= c.min_confidence), confidence)
         now = lengths(self._lifted(points, sure, depth), grid.edges)
         use = ~grid.crosses_goal & sure[grid.edges].all(axis=1) & np.isfinite(now) & np.isfinite(self._rest)
-        if use.sum() < c.min_edges:
+        # Edges along the goal alone would not know of a stretch across it, and the other way round.
+        along = np.diff(grid.edges, axis=1)[:, 0] == 1
+        if min((use & along).sum(), (use & ~along).sum()) < c.min_edges:
             return float("nan")
         return float(np.percentile(now[use] / self._rest[use] - 1.0, c.percentile))
 
@@ -74,13 +76,15 @@ class StrainGauge:
             surface = _smooth(points[known], 1.0 / z[known], self._config.degree)
             if surface is None:
                 continue
-            use = side & sure
-            lifted[use] = self._camera.unproject(points[use], 1.0 / surface(points[use]))
+            # Only where depth was seen: beyond it a polynomial runs away.
+            lifted[known] = self._camera.unproject(points[known], 1.0 / surface(points[known]))
         return lifted
 
 
 def _smooth(pixels: Array, inverse: Array, degree: int) -> Callable[[Array], Array] | None:
     """A polynomial surface through inverse depths (linear in them a plane is a plane), robust; None with too few points."""
+    while degree > 1 and len(pixels) < (degree + 1) * (degree + 2):
+        degree -= 1
     powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     if len(pixels) < 2 * len(powers):
         return None

@@ -16,13 +16,17 @@ from scipy.spatial import cKDTree
 
 from hardware.codes import Code
 from hardware.gate import Limits, SafetyGate
-from hardware.interface import Array
+from hardware.interface import GRASPER, Array
 from hardware.stub.bench import StubBench
+from hardware.stub.renderer import Label
 from hardware.stub.scene import Scene
 from hardware.stub.truth import severed_between
 from skills.estimate.graph import ConnectivityGraph, EdgeState
 from skills.expose.outcome import ExposeOutcome
+from skills.motion import pause, servo_line
+from skills.scene.goal import Goal
 from skills.skill import ImmediateExecutor, Steps
+from skills.tracking.model_based import raycast
 from supervisor.experiments.evaluator import visible_area
 from supervisor.session import TICK
 from supervisor.skillset import SessionSkills, SkillConfig
@@ -35,6 +39,9 @@ GRASP_AWAY = (2e-3, 10e-3)  # [m] of the grasp from the goal, uniform
 GRASP_ALONG = 12e-3  # [m] of the grasp along the goal to either side of its middle, uniform
 TEST_PULL = 3e-3  # [m]: a flap that is severed resists less than whole tissue
 RELAXED = 0.5e-3  # [m]: every pull starts where the jaws closed, not where the test of the grasp ended
+BACK_SPEED = 5e-3  # [m/s], there
+SETTLE = 0.3  # [s], there
+BESIDE = 0.8e-3  # [m] from the goal's line to the tissue on either side that says where the line is now
 LONGEST = 120.0  # [s] of bench time for one trial
 
 
@@ -86,6 +93,25 @@ def prepared_bench(scene: Scene, setting: Setting, seed: int) -> StubBench:
     return bench
 
 
+def goal_on_the_cut(bench: StubBench) -> Goal:
+    """What an expert would draw now, on tissue that has moved: along the cut, midway between the tissue on its two sides."""
+    scene, phantom, camera = bench.scene, bench.phantom, bench.endoscope.camera
+    line = scene.line
+    chord = line[-1] - line[0]
+    normal = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
+    off = (phantom.mesh.rest - line.mean(axis=0)) @ normal
+    sides = []
+    for sign in (1.0, -1.0):
+        here = np.flatnonzero(sign * off > 0.25 * BESIDE)
+        distance, nearest = cKDTree(phantom.mesh.rest[here]).query(line + sign * BESIDE * normal, k=3)
+        weights = 1.0 / np.maximum(distance, 1e-6)
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        sides.append((weights[:, :, None] * phantom.positions[here[nearest]]).sum(axis=1))
+    middle = (sides[0] + sides[1]) / 2.0 + np.array([0.0, 0.0, scene.tissue.thickness / 2])
+    grasp = bench.arms[GRASPER].true_pose().position
+    return Goal(camera.project(bench.to_camera(middle)), camera.project(grasp[None])[0], (camera.width, camera.height))
+
+
 @dataclass(frozen=True)
 class Sample:
     """One step of a pull: visible area [px], true tension [N] at the jaws, 99th percentile of the true strain, judgement of the edges."""
@@ -123,6 +149,12 @@ def run_trial(
     if tracked.code is Code.OK:
         lease = gate.grant("grasp")
         held = _run(bench, skills.take_hold(lease), skills, watch)
+        if skills.grasped is not None:
+            start = skills.grasped.origin.moved(RELAXED * skills.grasped.normal)
+            _run(bench, servo_line(lease, GRASPER, start, BACK_SPEED, "going back"), skills, watch)
+            _run(bench, pause(lease, SETTLE, "letting the tissue settle"), skills, watch)
+            # The protocol begins here: the expert draws the goal on the picture of the grasped, dissected tissue.
+            tracked = _run(bench, skills.start_tracking(goal_on_the_cut(bench)), skills, watch, tracking=False)
         gate.revoke(lease)
         lease = gate.grant("expose")
         outcome = _run(bench, skills.expose(lease), skills, watch)
@@ -214,16 +246,39 @@ def judge(graph: ConnectivityGraph, truth: NDArray[np.bool_]) -> dict[str, float
 
 
 def rest_coordinates(bench: StubBench, pixels: Array) -> Array:
-    """Rest coordinates (N, 2) [m] of the tissue seen at `pixels` (N, 2) now; the nearest tissue pixel where a tool or a gap is."""
+    """Rest coordinates (N, 2) [m] of the tissue at `pixels` (N, 2) now: what is seen there, or what a tool hides; beside a gap its lip.
+
+    A keypoint under a tool is a point of the tissue all the same, and on its own side of the goal.
+    """
+    surface, camera = bench.surface(), bench.endoscope.camera
+    positions, triangles = surface.positions.astype(np.float64), surface.triangles
     rendering = bench.endoscope.rendering()
+    nearest = np.clip(np.rint(pixels).astype(np.int64), 0, [camera.width - 1, camera.height - 1])
+    # Without the tools: rays onto the tissue's upper face, half a thickness above the mesh.
+    beneath = raycast(pixels, positions + surface.thickness / 2 * _normals(positions, triangles), triangles, camera)
+    rest = np.full((len(pixels), 2), np.nan)
+    hidden = (rendering.label[nearest[:, 1], nearest[:, 0]] == Label.TOOL) & beneath.on_mesh
+    corners = triangles[beneath.triangle[hidden]]
+    rest[hidden] = (beneath.barycentric[hidden][:, :, None] * surface.rest[corners]).sum(axis=1)
     v, u = np.nonzero(rendering.triangle >= 0)
-    _, nearest = cKDTree(np.column_stack([u, v])).query(pixels)
-    at = np.column_stack([u, v])[nearest]
-    surface = bench.surface()
-    corners = surface.triangles[rendering.triangle[at[:, 1], at[:, 0]]]
-    points = bench.endoscope.camera.unproject(at.astype(float), rendering.depth[at[:, 1], at[:, 0]].astype(np.float64))
-    weights = _barycentric(points, surface.positions[corners].astype(np.float64))
-    return np.asarray((weights[:, :, None] * surface.rest[corners]).sum(axis=1), dtype=np.float64)
+    _, closest = cKDTree(np.column_stack([u, v])).query(pixels[~hidden])
+    at = np.column_stack([u, v])[closest]
+    corners = triangles[rendering.triangle[at[:, 1], at[:, 0]]]
+    points = camera.unproject(at.astype(float), rendering.depth[at[:, 1], at[:, 0]].astype(np.float64))
+    weights = _barycentric(points, positions[corners])
+    rest[~hidden] = (weights[:, :, None] * surface.rest[corners]).sum(axis=1)
+    return rest
+
+
+def _normals(positions: Array, triangles: NDArray[np.int32]) -> Array:
+    """Unit normals (V, 3) of the sheet towards the camera."""
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    face = np.cross(b - a, c - a)
+    normals = np.zeros_like(positions)
+    for k in range(3):
+        np.add.at(normals, triangles[:, k], face)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return np.asarray(np.where((normals * positions).sum(axis=1, keepdims=True) > 0, -normals, normals))
 
 
 def _barycentric(points: Array, corners: Array) -> Array:

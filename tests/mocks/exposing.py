@@ -14,6 +14,7 @@ from hardware.codes import Code
 from hardware.interface import CUTTER, GRASPER, Array
 from skills.estimate.grid import Grid, grid_around
 from skills.expose import optimal
+from skills.expose.hypotheses import SeparationConfig
 from skills.expose.model import ModelConfig
 from skills.expose.mppi import MppiConfig
 from skills.expose.optimal import OptimalConfig, SteeringOptimal
@@ -85,7 +86,19 @@ def steering(
     executor: Executor | None = None, gaps: Callable[[], Array | None] = lambda: None, seed: int = 0, **settings: Any
 ) -> SteeringOptimal:
     """The controller with a quick planner and one kind of tissue, unless `settings` of its configuration say otherwise."""
-    quick: dict[str, Any] = {"planner": planning(), "tissues": (TISSUE,), "device": "cpu", "threads": 1}
+    quick: dict[str, Any] = {
+        "planner": planning(),
+        "tissues": (TISSUE,),
+        "separation": SeparationConfig(pixel_error=1.5, model_error=0.2, quantile=0.05, enough=4.0, parted=1.5, expected=6.0),
+        "least_steps": 6,
+        "patience": 6,
+        "worth": 1.0,
+        "tension_budget": 0.9,
+        "strain_budget": 1.0,
+        "least_agreement": 0.2,
+        "device": "cpu",
+        "threads": 1,
+    }
     config = OptimalConfig(**quick | settings)
     rng = np.random.default_rng(seed)
     return SteeringOptimal(config, StereoConfig(), TissueConfig(), executor or ImmediateExecutor(), rng, gaps)

@@ -1,4 +1,4 @@
-"""The goal tracker: rows, grid, strain, and robustness of the rows to wrong points."""
+"""The goal tracker: rows, grid, and robustness of the rows to wrong points."""
 
 import numpy as np
 import pytest
@@ -46,29 +46,32 @@ def test_the_goal_is_lost_when_a_tool_covers_most_of_it_and_only_then() -> None:
         assert np.abs(tracked.polyline[:, 1] - LINE).max() < 1.5
 
 
-def test_an_opening_after_the_reference_severs_every_crossing_edge_and_stretches_no_other() -> None:
+def test_an_opening_after_the_reference_severs_every_crossing_edge_and_no_other() -> None:
     texture = speckle(3)
     tracker = GoalTracker()
     tracker.start(frame(coloured(texture, 1.5, 0), 0), GOAL)
     grid = tracker.mark_reference(frame(coloured(texture, 1.5, 1), 1))
     for k in range(1, 11):
-        tracked = tracker.update(frame(coloured(opened(texture, 2.0 * k, LINE)[0], 1.5, k), k + 1))
+        tracker.update(frame(coloured(opened(texture, 2.0 * k, LINE)[0], 1.5, k), k + 1))
     reference, tracks, same_grid = tracker.grid_tracks()
     graph = estimate_connectivity(grid, reference, tracks)
     assert same_grid is grid
     assert graph.complete
     assert (graph.state[~grid.crosses_goal] == EdgeState.CONNECTED).mean() > 0.98
-    assert abs(tracked.strain) < 0.2
 
 
-def test_strain_is_the_stretch_of_the_tissue() -> None:
+def test_the_keypoints_go_with_tissue_that_stretches() -> None:
     texture = speckle(4)
     tracker = GoalTracker()
     tracker.start(frame(coloured(texture, 1.0, 0), 0), GOAL)
-    tracker.mark_reference(frame(coloured(texture, 1.0, 1), 1))
+    grid = tracker.mark_reference(frame(coloured(texture, 1.0, 1), 1))
     for k in range(1, 11):
-        tracked = tracker.update(frame(coloured(opened(texture, 0.0, LINE, 0.015 * k)[0], 1.0, k), k + 1))
-    assert 0.12 < tracked.strain < 0.3
+        picture, went = opened(texture, 0.0, LINE, 0.015 * k)
+        tracker.update(frame(coloured(picture, 1.0, k), k + 1))
+    _, tracks, _ = tracker.grid_tracks()
+    error = np.linalg.norm(tracks.points - went(grid.points), axis=1)
+    assert tracks.visible.mean() > 0.9
+    assert np.percentile(error[tracks.visible], 90) < 1.0
 
 
 def test_a_grid_marked_while_the_goal_is_lost_is_never_seen() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,12 @@ MODEL = build_model(SHEET, GRASP, TISSUE)
 CROSSING = np.flatnonzero(GRID.crosses_goal)
 POINTS = raycast(GRID.points, SHEET.vertices, SHEET.triangles, CAMERA)
 PARTED, EXPECTED = 1.0, 4.0  # [px]
+SETTINGS = {"strand": 1.5e-3, "pixel_error": 1.5, "model_error": 0.2, "quantile": 0.05, "parted": PARTED, "expected": EXPECTED}
 
 
 def hypotheses(steps: int = 0, step: Array = STEP, **settings: Any) -> Hypotheses:
     """The eight versions of the sheet, pulled by `steps` times `step` [m]."""
-    config = SeparationConfig(**{"parted": PARTED, "expected": EXPECTED} | settings)
+    config = SeparationConfig(**SETTINGS | settings)
     made = Hypotheses(MODEL, SHEET, GRID, CAMERA, config, XpbdConfig(), "cpu")
     for _ in range(steps):
         made.advance(step)
@@ -325,3 +327,16 @@ def test_the_same_pull_gives_the_same_forecast():
 def test_settings_without_sense_are_refused(wrong):
     with pytest.raises(ValueError, match="separation"):
         SeparationConfig(**wrong)
+
+
+def test_a_strand_off_the_mesh_does_not_spoil_what_is_expected_of_its_neighbours():
+    crossing = np.flatnonzero(GRID.crosses_goal)
+    at = crossing[np.argmin(np.abs(GRID.station[crossing] - 0.1))]
+    points = GRID.points.copy()
+    points[GRID.edges[at]] = np.nan
+    hypotheses = Hypotheses(MODEL, SHEET, replace(GRID, points=points), CAMERA, SeparationConfig(), XpbdConfig(), "cpu")
+
+    hypotheses.advance(STEP)
+
+    stretch = hypotheses.stretch()
+    assert np.isnan(stretch.connected).sum() == np.isnan(stretch.severed).sum() == 1

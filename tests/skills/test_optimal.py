@@ -14,7 +14,7 @@ from hardware.codes import Code
 from hardware.interface import GRASPER, Array
 from skills.estimate.grid import Grid
 from skills.expose import optimal
-from skills.expose.hypotheses import Hypotheses, Stretch
+from skills.expose.hypotheses import Hypotheses, SeparationConfig, Stretch
 from skills.expose.model import ModelConfig, TissueModel, build_model
 from skills.expose.optimal import Pulled, SteeringOptimal, View, likeliest
 from skills.expose.outcome import ExposeOutcome, Planned
@@ -314,7 +314,7 @@ def test_it_stops_once_severed_and_connected_are_far_enough_apart(apart):
 def test_the_hypotheses_of_a_pull_come_apart_by_themselves():
     enough = Exposing(4, **NEVER).finish().forecast
     assert enough is not None
-    separation = replace(optimal.SeparationConfig(), enough=float(enough.separation[2]))
+    separation = SeparationConfig(enough=float(enough.separation[2]), pixel_error=1.5, model_error=0.2, quantile=0.05)
 
     outcome = Exposing(12, least_steps=1, separation=separation).finish()
 
@@ -645,3 +645,35 @@ def test_an_error_in_a_computation_is_not_swallowed_and_the_arms_hold(monkeypatc
         exposing.finish()
 
     assert exposing.bench.holding()
+
+
+def test_a_pull_that_uses_up_its_strain_budget_ends_there_and_does_not_creep(apart):
+    apart(*np.linspace(0.01, 0.3, 40))  # nothing else ends it
+
+    outcome = Exposing(20, least_steps=1, strain_budget=0.15).finish()
+
+    assert outcome.stopped_by is Code.STRAIN
+
+
+def test_a_decided_stop_is_reported_though_there_is_no_further_plan(monkeypatch, apart):
+    apart(0.5, 9.0)
+    hold_at(monkeypatch, 3, Code.SMOOTHING_INFEASIBLE)
+
+    outcome = Exposing(8, least_steps=1).finish()
+
+    assert (len(outcome.path), outcome.stopped_by) == (2, Code.EXPOSURE_SEPARATED)
+
+
+def test_an_exposure_that_never_looked_has_no_forecast_of_an_earlier_one():
+    exposing = Exposing(5, **NEVER)
+    steps = exposing.run()
+    for _ in range(16):
+        next(steps)
+        exposing.bench.advance(1 / 30)
+    steps.close()
+    exposing.grasped = None
+
+    outcome = exposing.finish()
+
+    assert outcome.code is Code.GRASP_EMPTY
+    assert outcome.forecast is None and outcome.planned is None

@@ -15,6 +15,7 @@ from skills.expose.model import TissueModel, build_model
 from skills.expose.mppi import MppiConfig
 from skills.expose.planner import Limits, Objective, Plan, Planner, PlannerConfig, Situation
 from skills.expose.region import region_around
+from skills.expose.smoothing import SmoothingConfig
 from skills.expose.xpbd import State, XpbdSolver, rest_state
 from tests.mocks.bench import CAMERA
 from tests.mocks.exposing import ACROSS, ALONG, GRASP, TISSUE, UP, polyline, sheet
@@ -23,6 +24,14 @@ from tests.skills.sheets import DEPTH
 SAMPLES, HORIZON, STEP = 32, 4, 0.5e-3
 ROOMY = Limits(np.array([-0.09, -0.07, 0.02]), np.array([0.09, 0.07, 0.2]), tension=4.0, strain=1.0)
 ASIDE = np.array([5e-3, 7.5e-3, DEPTH])  # [m], a grasp 56 degrees off the goal's normal
+WEIGHTS: dict[str, Any] = {
+    "camera": 1.0,
+    "deform": 1.0,
+    "opening": 1.0,
+    "tension": 0.1,
+    "overload": 10.0,
+    "smoothing": SmoothingConfig(weight=2.0, max_step=STEP, min_tool_distance=3e-3),
+}
 HELD = (Code.EXPOSURE_INFEASIBLE, Code.SMOOTHING_INFEASIBLE)
 BOTH = pytest.mark.parametrize("objective", list(Objective))
 
@@ -42,7 +51,7 @@ class Pull:
         seen = sheet()
         self.model: TissueModel = build_model(seen, grasp, TISSUE)
         mppi = MppiConfig(**{"samples": SAMPLES, "horizon": HORIZON, "max_step": STEP} | (sampling or {}))
-        config = PlannerConfig(objective=objective, mppi=mppi, **settings)
+        config = PlannerConfig(objective=objective, mppi=mppi, **WEIGHTS | settings)
         region = region_around(polyline(), grasp, seen, CAMERA, config.region)
         rng = np.random.default_rng(seed)
         self.planner = Planner(self.model, seen, region, CAMERA, limits, config, rng, threads=1)
@@ -101,6 +110,17 @@ def test_a_useless_guess_is_turned_across_the_goal(objective, guess):
     pull.go(8)
 
     assert angle(pull.update().step, ACROSS) < 45.0
+
+
+@BOTH
+@pytest.mark.parametrize("stride", [1, 3])
+def test_each_update_goes_on_from_the_one_before(objective, stride):
+    pull = Pull(objective, stride=stride, smooth=False).begin(ALONG)
+
+    turned = [angle(pull.update().nominal[0], ACROSS) for _ in range(5)]
+
+    assert turned[0] > 25.0
+    assert max(turned[3:]) < 0.7 * turned[0]
 
 
 @BOTH
@@ -180,14 +200,20 @@ def test_without_any_path_in_the_workspace_the_jaws_hold():
     assert plan.feasible == 0.0
 
 
-def test_the_jaws_are_not_pushed_into_the_bed():
-    pull = Pull().begin(ACROSS - 0.5 * UP)
+@pytest.mark.parametrize("above", [0.0, 0.3e-3])
+def test_the_jaws_are_not_pushed_into_the_bed(above):
+    pull = Pull().begin(ACROSS - UP)
     bed = pull.model.floor
-
-    pull.go(8)
-
     assert bed is not None
-    assert pull.now.gripper @ bed[:3] + bed[3] >= -1e-4
+
+    def height() -> float:
+        return float(pull.now.gripper @ bed[:3] + bed[3])
+
+    pull.now = replace(pull.now, gripper=pull.now.gripper + (above - height()) * bed[:3])
+
+    pull.go(4)
+
+    assert height() > -0.05e-3
 
 
 def test_tension_that_no_step_can_bring_within_its_limit_lets_the_jaws_hold():
@@ -218,14 +244,15 @@ def test_at_the_limit_of_tension_the_jaws_hold_or_give_way(objective, share):
 
 
 @BOTH
-def test_the_pull_does_not_pass_the_limit_of_tension(objective):
+@pytest.mark.parametrize("stride", [1, 3])
+def test_the_pull_does_not_pass_the_limit_of_tension(objective, stride):
     free = Pull(objective).begin()
     greatest = []
     for _ in range(10):
         free.go(1)
         greatest.append(free.tension)
     limit = 0.6 * max(greatest)
-    tight = Pull(objective, limits=replace(ROOMY, tension=limit)).begin()
+    tight = Pull(objective, limits=replace(ROOMY, tension=limit), stride=stride).begin()
 
     for _ in range(10):
         tight.go(1)

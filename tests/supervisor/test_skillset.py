@@ -1,0 +1,305 @@
+"""What a session's skills tell the gate of the tissue's strain: nought at the reference, readings while pulling, nothing known when blind.
+
+The exposure, the gate and the arms are real or mocks with no tissue; tracker, depth and gauge say what the test wants.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware.codes import Code
+from hardware.interface import GRASPER, Array
+from skills.estimate.grid import Grid, grid_around
+from skills.expose.outcome import ExposeOutcome
+from skills.grasp import Grasped
+from skills.scene.goal import Goal
+from skills.scene.stereo import DepthMap, Region
+from skills.skill import ImmediateExecutor
+from skills.tracking.strain import StrainConfig
+from skills.tracking.tracks import TrackedGoal, Tracks
+from supervisor import skillset
+from supervisor.skillset import ExposureKind, SessionSkills, SkillConfig
+from tests.mocks.bench import CAMERA
+from tests.mocks.table import TICK, Table
+from tests.skills.test_planning import goal
+from tests.skills.test_pull import ScriptedSteering
+
+GOAL = Goal(goal().polyline, goal().grasp, (CAMERA.width, CAMERA.height))
+GRID = grid_around(goal(), 18.0)
+PERIOD, PATIENCE = StrainConfig().period, StrainConfig().patience
+LOOK = SkillConfig().track_period  # [s] between looks of the tracker
+NAN = float("nan")
+
+
+class FollowsNothing:
+    """A tracker for which nothing ever moves; `points` are those of the grid now."""
+
+    points = GRID.points
+
+    def __init__(self, config: object) -> None:
+        self._stamp = 0.0
+
+    def start(self, frame, goal) -> TrackedGoal:
+        return self.update(frame)
+
+    def update(self, frame) -> TrackedGoal:
+        self._stamp = frame.stamp
+        return self.tracked()
+
+    def tracked(self) -> TrackedGoal:
+        return replace(goal(), stamp=self._stamp)
+
+    def mark_reference(self, frame) -> Grid:
+        self.update(frame)
+        return GRID
+
+    def grid(self) -> Grid:
+        return GRID
+
+    def grid_tracks(self) -> tuple[Array, Tracks, Grid]:
+        count = len(GRID.points)
+        return GRID.points, Tracks(self._stamp, self.points, np.ones(count, dtype=bool), np.ones(count)), GRID
+
+    def gaps(self) -> None:
+        return None
+
+
+class Session:
+    """A goal followed and held; `expose` pulls it, while `readings(t)` is the strain read `t` [s] after the newest reference."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, readings: Callable[[float], float] = lambda t: 0.1) -> None:
+        self.table = Table()
+        self.bench, self.gate = self.table.bench, self.table.gate
+        self.readings = readings
+        self.referenced: list[float] = []  # bench times [s] of
+        self.looked: list[float] = []
+        self.regions: list[Region] = []
+        self.told: list[tuple[float, float]] = []  # bench time [s] and the strain that the gate was told
+        self.pulled: list[float] = []  # bench times [s] at which a step was planned
+        self._replace_parts(monkeypatch)
+        config = SkillConfig(exposure=ExposureKind.GOAL_NORMAL)
+        self.skills = SessionSkills(self.gate, config, ImmediateExecutor(), 0, "", None)
+        self._hold()
+        self.table.finish(self.skills.start_tracking(GOAL))
+        self._following = self.skills.track()
+
+    def follow(self, duration: float) -> None:
+        """Look on for `duration` [s]."""
+        for _ in range(round(duration / TICK)):
+            next(self._following)
+            self.bench.advance(TICK)
+
+    def expose(self) -> ExposeOutcome:
+        """Pull to the end, the tracker looking on."""
+
+        def both() -> Iterator:
+            pull = self.skills.expose(self.table.lease)
+            while True:
+                next(self._following)
+                try:
+                    yield next(pull)
+                except StopIteration as end:
+                    return end.value
+
+        return self.table.finish(both())
+
+    def seen(self) -> TrackedGoal:
+        tracked = self.skills.tracked()
+        assert tracked is not None
+        return tracked
+
+    def pull_further(self) -> Code:
+        """Servo the grasper by half a millimetre away from where it closed."""
+        return self.table.servo(GRASPER, 0.3, 0.0, -0.4)
+
+    def _replace_parts(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        session = self
+
+        class Gauge:
+            def __init__(self, grid, depth, camera, config) -> None:
+                session.referenced.append(session.bench.now())
+
+            def read(self, points, visible, confidence, depth) -> float:
+                session.looked.append(session.bench.now())
+                return session.readings(session.bench.now() - session.referenced[-1])
+
+        def depth(pair, camera, config, region) -> DepthMap:
+            self.regions.append(region)
+            return DepthMap(pair.left.stamp, np.full((CAMERA.height, CAMERA.width), 0.08), 1.0)
+
+        def tell(strain: float, stamp: float) -> None:
+            self.told.append((self.bench.now(), strain))
+            report(strain, stamp)
+
+        def steer(number: int) -> Array:
+            self.pulled.append(self.bench.now())
+            return 0.5e-3 * np.array([0.6, 0.0, -0.8])
+
+        report = self.gate.report_strain
+        monkeypatch.setattr(self.gate, "report_strain", tell)
+        monkeypatch.setattr(skillset, "GoalTracker", FollowsNothing)
+        monkeypatch.setattr(skillset, "StrainGauge", Gauge)
+        monkeypatch.setattr(skillset, "depth_from_stereo", depth)
+        monkeypatch.setattr(skillset, "SteeringStraight", lambda *_: ScriptedSteering(steer))
+
+    def _hold(self) -> None:
+        """Tissue is in the jaws, 3 mm from where they closed."""
+        start = self.bench.grasper.pose
+        origin = start.moved(np.array([0.0, 3e-3, 0.0]))
+        self.bench.grasper.pose = origin
+        self.table.pull(0.3)
+        self.bench.grasper.pose = start
+        self.skills._agent.grasped = Grasped(origin, np.array([0.0, 0.0, -1.0]))
+
+
+def test_nothing_is_told_before_the_reference(monkeypatch):
+    session = Session(monkeypatch)
+
+    session.follow(1.0)
+
+    assert session.told == []
+    assert math.isnan(session.seen().strain)
+
+
+def test_the_gate_is_told_nought_at_the_reference(monkeypatch):
+    session = Session(monkeypatch)
+    session.gate.report_strain(NAN, session.bench.now())
+    session.told.clear()
+
+    session.expose()
+
+    assert len(session.referenced) == 1
+    assert session.told[0] == (session.referenced[0], 0.0)
+    assert session.told[0][0] < session.pulled[0] < session.told[1][0]
+
+
+def test_the_gate_is_told_each_reading_no_more_often_than_the_period(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: 0.01 * t)
+
+    outcome = session.expose()
+
+    stamps = np.array([stamp for stamp, _ in session.told[1:]])
+    assert outcome.stopped_by is Code.EXPOSURE_STEPS_DONE
+    assert len(stamps) > 8
+    assert (np.diff(stamps) > PERIOD - 1e-5).all()
+    assert (np.diff(stamps) < PERIOD + LOOK + TICK).all()
+    assert list(stamps) == session.looked
+    assert [strain for _, strain in session.told[1:]] == pytest.approx(0.01 * (stamps - session.referenced[0]))
+
+
+def test_nothing_is_told_when_the_pull_has_ended(monkeypatch):
+    session = Session(monkeypatch)
+    session.expose()
+    told, ended = list(session.told), session.bench.now()
+
+    session.follow(2.0)
+
+    assert session.told == told
+    assert session.told[-1][0] <= ended
+    assert session.seen().stamp > ended
+
+
+def test_the_tracked_goal_carries_what_was_read(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: 0.1 + 0.02 * t)
+
+    outcome = session.expose()
+    session.follow(2 * LOOK)
+
+    assert session.seen().strain == session.told[-1][1] == session.gate.strain()
+    assert np.isfinite(outcome.strain).all()
+    assert set(outcome.strain) <= {strain for _, strain in session.told}
+    assert outcome.strain[-1] == pytest.approx(0.1 + 0.02 * (outcome.keyframes[-1] - session.referenced[0]), abs=0.01)
+
+
+def test_a_reading_at_the_limit_ends_the_pull(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: 0.6 if t > 1.5 else 0.1)
+
+    outcome = session.expose()
+
+    assert (outcome.code, outcome.stopped_by) == (Code.OK, Code.STRAIN)
+    assert "stretched by 60%" in outcome.message
+    assert session.pulled[-1] - session.referenced[0] < 1.5 + PERIOD + 2 * LOOK
+    assert session.pull_further() is Code.STRAIN
+
+
+def test_pulling_further_is_refused_when_no_look_was_usable_for_too_long(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: 0.1 if t < 1.2 else NAN)
+
+    outcome = session.expose()
+    session.follow(2 * LOOK)
+
+    usable = max(stamp for stamp in session.looked if stamp - session.referenced[0] < 1.2)
+    unknown = min(stamp for stamp, strain in session.told if math.isnan(strain))
+    assert PATIENCE < unknown - usable < PATIENCE + PERIOD + LOOK
+    assert {strain for stamp, strain in session.told if usable <= stamp < unknown} == {0.1}
+    assert (outcome.code, outcome.stopped_by) == (Code.OK, Code.STRAIN)
+    assert "strain of the tissue is unknown" in outcome.message
+    assert session.pulled[-1] - usable < PATIENCE + PERIOD + 2 * LOOK
+    assert session.pull_further() is Code.STRAIN
+    assert math.isnan(session.seen().strain)
+
+
+def test_a_gauge_that_never_reads_lets_no_pull_go_on(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: NAN)
+
+    outcome = session.expose()
+
+    assert outcome.stopped_by is Code.STRAIN
+    assert "strain of the tissue is unknown" in outcome.message
+    assert {strain for stamp, strain in session.told if stamp - session.referenced[0] < PATIENCE} == {0.0}
+
+
+def test_looks_that_fail_for_less_than_the_patience_change_nothing(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: NAN if 1.0 < t < 1.6 else 0.1)
+
+    outcome = session.expose()
+
+    assert outcome.stopped_by is Code.EXPOSURE_STEPS_DONE
+    assert {strain for _, strain in session.told[1:]} == {0.1}
+
+
+def test_a_strain_that_was_unknown_is_known_again_after_a_usable_look(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: NAN)
+    session.expose()
+    refused = session.pull_further()
+    session.readings = lambda t: 0.2
+
+    session.skills._exposure.pulling = True  # as in the next steps of a pull
+    session.follow(PERIOD + 2 * LOOK)
+
+    assert refused is Code.STRAIN
+    assert session.gate.strain() == session.seen().strain == 0.2
+    assert session.pull_further() is Code.OK
+
+
+def test_a_new_reference_starts_from_nought_again(monkeypatch):
+    session = Session(monkeypatch, readings=lambda t: NAN)
+    session.expose()
+    session.follow(1.0)
+    first, session.readings = len(session.told), lambda t: 0.15
+
+    outcome = session.expose()
+
+    assert len(session.referenced) == 2
+    assert session.told[first] == (session.referenced[1], 0.0)
+    assert {strain for _, strain in session.told[first + 1 :]} == {0.15}
+    assert outcome.stopped_by is Code.EXPOSURE_STEPS_DONE
+    assert np.isfinite(outcome.strain).all()
+
+
+def test_depth_is_measured_around_the_keypoints_that_are_finite(monkeypatch):
+    points = GRID.points + np.array([10.0, 0.0])
+    points[0] = np.nan
+    monkeypatch.setattr(FollowsNothing, "points", points)
+    session = Session(monkeypatch)
+
+    session.expose()
+
+    margin = StrainConfig().margin
+    assert len(session.regions) == len(session.told)
+    for region, around in ((session.regions[0], GRID.points), (session.regions[-1], points[1:])):
+        assert np.abs(np.array(region[:2]) - (around.min(axis=0) - margin)).max() <= 1.0
+        assert np.abs(np.array(region[2:]) - (around.max(axis=0) + margin)).max() <= 2.0
