@@ -235,10 +235,12 @@ class SessionSkills:
             self.keyframes.append(self._tracker.grid_tracks()[1])
 
     def _depth(self, points: Array) -> DepthMap:
-        """Stereo depth around `points` (N, 2), those that are finite."""
+        """Stereo depth around `points` (N, 2), those that are finite; of the whole picture if none is."""
         endoscope = self._gate.bench.endoscope
         camera = endoscope.camera
-        region = region_around(points[np.isfinite(points).all(axis=1)], self._config.strain.margin, (camera.width, camera.height))
+        finite = points[np.isfinite(points).all(axis=1)]
+        size = (camera.width, camera.height)
+        region = region_around(finite, self._config.strain.margin, size) if len(finite) else None
         return depth_from_stereo(endoscope.stereo(), camera, self._config.stereo, region)
 
     def _gaps(self) -> Array | None:

@@ -62,10 +62,12 @@ def estimate_connectivity(
     # Smooth and monotone in rho, one half at tau and for what is unknown.
     logit = config.steepness * np.log(np.maximum(ratio, 1e-6) / config.tau)
     if gap is not None:
-        looked = known & grid.crosses_goal & np.isfinite(gap)
-        parted = looked & (np.nan_to_num(gap) >= config.min_gap) & (ratio >= config.min_lengthening)
+        # What was seen to part does not heal, so its ends may be hidden by now.
+        seen_parted = grid.crosses_goal & (np.nan_to_num(gap) >= config.min_gap)
+        parted = seen_parted & (~known | (ratio >= config.min_lengthening))
+        looked = grid.crosses_goal & ((known & np.isfinite(gap)) | parted)
         severed = np.where(grid.crosses_goal, parted, severed)
-        known = known & (looked | ~grid.crosses_goal)
+        known = np.where(grid.crosses_goal, looked, known)
         # One e-fold for each half pixel beyond the least gap; what is too short to have parted is connected all the same.
         seen = 2.0 * (np.nan_to_num(gap) - config.min_gap)
         logit = np.where(looked, np.where(parted, np.abs(seen), -np.abs(seen)), logit)

@@ -1,5 +1,7 @@
 """The elongation rule: analytic cases, unknowns, probability, attachments."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -120,6 +122,16 @@ def test_a_dark_fold_between_points_that_came_nearer_is_no_opening() -> None:
     seen = np.full(len(GRID.edges), 5.0)
     graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(-4.0), None, seen)
     assert (graph.state[CROSSING] == EdgeState.CONNECTED).all()
+
+
+def test_an_edge_seen_to_part_stays_severed_when_its_ends_are_hidden() -> None:
+    seen = np.zeros(len(GRID.edges))
+    seen[CROSSING[4]] = 12.0
+    tracks = tracks_with_gap(30.0)
+    hidden = tracks.visible.copy()
+    hidden[GRID.edges[CROSSING[[4, 5]], 0]] = False
+    graph = estimate_connectivity(GRID, GRID.points, replace(tracks, visible=hidden), None, seen)
+    assert graph.state[CROSSING[[4, 5]]].tolist() == [EdgeState.SEVERED, EdgeState.UNKNOWN]
 
 
 def test_an_edge_along_which_nobody_could_look_is_unknown() -> None:

@@ -422,3 +422,48 @@ def test_tracked_keypoints_show_the_stretch_and_not_the_opening(gap: float, stre
     _, tracks, _ = tracker.grid_tracks()
 
     assert measure.read(tracks.points, tracks.visible, tracks.confidence, depth) == pytest.approx(stretch, abs=0.04)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 30.0])
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(226, 241), (195, 213), (213, 241), (255, 300)],
+    ids=["innermost row", "outermost row", "two rows", "two far rows"],
+)
+@pytest.mark.parametrize("when", ["now", "at the reference"])
+def test_rows_without_depth_are_tolerated(tilt, low, high, when):
+    plane = Plane(tilt, 60.0)
+    seen = look(plane, deformation=stretched_across(plane, 0.2))
+    v = np.arange(CAMERA.height)[:, None]
+    hole = (v > low) & (v < high)
+    if when == "now":
+        reading = read(gauge(plane), replace(seen, depth=with_holes(seen.depth, hole)))
+    else:
+        reading = read(StrainGauge(GRID, with_holes(plane.depth(), hole), CAMERA), seen)
+    assert reading == pytest.approx(0.2, abs=0.08)
+
+
+def test_a_noisy_reference_with_depth_of_one_end_only_makes_up_nothing():
+    plane, rng = Plane(30.0, 60.0), np.random.default_rng(0)
+    u = np.arange(CAMERA.width)[None, :]
+    reference = with_holes(noisy(plane.depth(), rng, 11), u < 340)
+    seen = look(plane)
+    seen = replace(seen, depth=with_holes(noisy(seen.depth, rng, 11), u < 340))
+    assert abs(read(StrainGauge(GRID, reference, CAMERA), seen)) < 0.1
+
+
+@pytest.mark.parametrize("strain", [0.2, 0.5])
+def test_edges_along_the_goal_alone_do_not_say_that_nothing_is_stretched_across_it(strain):
+    plane = Plane(30.0, 60.0)
+    seen = look(plane, deformation=stretched_across(plane, strain))
+    row = np.arange(COUNT) // COLUMNS
+    assert not read(gauge(plane), replace(seen, visible=(row == 0) | (row == 5))) < 0.1
+
+
+@pytest.mark.parametrize("length", [40.0, 50.0, 60.0, 66.0])
+def test_short_goals_can_be_read_too(length):
+    short = grid_around(tracked_goal(straight(length)), 18.0)
+    plane = Plane(20.0, 60.0, 0.13)
+    measure, n = StrainGauge(short, plane.depth(), CAMERA), len(short.points)
+    points = plane.pixels_of(plane.tissue_at(short.points) @ stretched_across(plane, 0.2).T)
+    assert measure.read(points, np.ones(n, bool), np.ones(n), plane.depth()) == pytest.approx(0.2, abs=0.03)

@@ -303,3 +303,19 @@ def test_depth_is_measured_around_the_keypoints_that_are_finite(monkeypatch):
     for region, around in ((session.regions[0], GRID.points), (session.regions[-1], points[1:])):
         assert np.abs(np.array(region[:2]) - (around.min(axis=0) - margin)).max() <= 1.0
         assert np.abs(np.array(region[2:]) - (around.max(axis=0) + margin)).max() <= 2.0
+
+
+def test_keypoints_of_which_none_is_finite_are_a_look_that_was_not_usable(monkeypatch):
+    monkeypatch.setattr(FollowsNothing, "points", np.full_like(GRID.points, np.nan))
+    session = Session(monkeypatch, readings=lambda t: NAN)
+    assert session.expose().stopped_by is Code.STRAIN
+
+
+def test_the_goal_carries_nought_from_the_reference_on(monkeypatch):
+    session = Session(monkeypatch)
+    gen = session.skills.expose(session.table.lease)
+    while not session.referenced:
+        next(session._following)
+        next(gen)
+        session.bench.advance(1 / 30)
+    assert session.seen().strain == 0.0
