@@ -16,7 +16,7 @@ from skills.estimate.grid import Grid
 from skills.expose import optimal
 from skills.expose.hypotheses import Hypotheses, SeparationConfig, Stretch
 from skills.expose.model import ModelConfig, TissueModel, build_model
-from skills.expose.optimal import Pulled, SteeringOptimal, View, likeliest
+from skills.expose.optimal import OptimalConfig, Pulled, SteeringOptimal, View, likeliest
 from skills.expose.outcome import ExposeOutcome, Planned
 from skills.expose.planner import Objective, Plan, Planner
 from skills.expose.pull import Exposure, PullConfig
@@ -677,3 +677,12 @@ def test_an_exposure_that_never_looked_has_no_forecast_of_an_earlier_one():
 
     assert outcome.code is Code.GRASP_EMPTY
     assert outcome.forecast is None and outcome.planned is None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"tissues": ()}, {"least_steps": 0}, {"patience": 0}, {"tension_budget": 1.5}, {"strain_budget": 0.0}, {"margin": -1.0}],
+)
+def test_settings_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ValueError):
+        OptimalConfig(**wrong)
