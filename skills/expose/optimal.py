@@ -69,8 +69,8 @@ class OptimalConfig:
             raise ValueError("tissues must name at least one tissue model")
         if self.least_steps < 1 or self.patience < 1:
             raise ValueError(f"least_steps ({self.least_steps}) and patience ({self.patience}) must be at least 1")
-        if not (0 < self.tension_budget <= 1 and self.strain_budget > 0 and self.margin > 0 and 0 <= self.least_agreement <= 1):
-            raise ValueError("tension_budget and least_agreement must be shares, strain_budget and margin positive")
+        if not (self.tension_budget > 0 and self.strain_budget > 0 and self.margin > 0 and self.least_agreement >= 0):
+            raise ValueError("the budgets of tension and strain and the margin must be positive, least_agreement not negative")
 
 
 @dataclass(frozen=True)

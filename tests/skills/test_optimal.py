@@ -681,7 +681,7 @@ def test_an_exposure_that_never_looked_has_no_forecast_of_an_earlier_one():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"tissues": ()}, {"least_steps": 0}, {"patience": 0}, {"tension_budget": 1.5}, {"strain_budget": 0.0}, {"margin": -1.0}],
+    [{"tissues": ()}, {"least_steps": 0}, {"patience": 0}, {"tension_budget": 0.0}, {"strain_budget": 0.0}, {"margin": -1.0}],
 )
 def test_settings_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ValueError):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hardware.codes import Code
-from hardware.interface import CUTTER, GRASPER, Array
+from hardware.interface import CUTTER, GRASPER, Array, Pose
 from skills.estimate.grid import grid_around
 from skills.expose.pull import Exposure, PullConfig, Stop
 from skills.expose.straight import Direction, SteeringStraight, away_from_middle, goal_normal
@@ -23,6 +23,8 @@ LENGTH = 0.5e-3  # [m] of a step
 FACING = np.array([0.0, 0.0, -1.0])
 UP = np.array([0.0, -1.0, 0.0])  # the picture
 GRASP = np.array([0.004, -0.012, 0.070])  # [m]
+
+HELD = Grasped(Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])), np.array([0.0, 0.0, -1.0]))
 
 
 def tilted(about_x: float, about_y: float) -> Array:
@@ -227,7 +229,7 @@ def sloped():
 def looking(table: Table, direction: Direction, goal: TrackedGoal) -> tuple[SteeringStraight, Stop | None]:
     """A steering that has looked at the goal, and what it said."""
     steering = SteeringStraight(direction, LENGTH, StereoConfig(), ImmediateExecutor())
-    return steering, table.finish(steering.begin(table.lease, goal, grid_around(goal, HALF)))
+    return steering, table.finish(steering.begin(table.lease, goal, grid_around(goal, HALF), HELD))
 
 
 def shown(pair) -> Table:
