@@ -23,9 +23,11 @@ class ElongationConfig:
     max_unknown: float = 0.25  # share of the edges across the goal
     steepness: float = 8.0  # of the probability around tau, per unit of log rho
     min_gap: float = 1.0  # [px] of an opening seen along a severed edge, where that was looked at
-    min_lengthening: float = (
-        0.9  # ratio that an edge with a gap must have kept: what is dark where tissue is pushed together is a fold
-    )
+    # Ratio that an edge with a gap must have reached as well, since what is left of a half cut lets its lips part too; the same in the
+    # end zones of the goal, where even a complete cut opens little (below 1 a dark line is a fold); and their length, a share of the goal.
+    min_lengthening: float = 2.0
+    end_lengthening: float = 0.9
+    end_zone: float = 0.1
 
     def __post_init__(self) -> None:
         if not self.tau > 1:
@@ -64,7 +66,10 @@ def estimate_connectivity(
     if gap is not None:
         # What was seen to part does not heal, so its ends may be hidden by now.
         seen_parted = grid.crosses_goal & (np.nan_to_num(gap) >= config.min_gap)
-        parted = seen_parted & (~known | (ratio >= config.min_lengthening))
+        inner = np.abs(np.nan_to_num(grid.station, nan=0.5) - 0.5) <= 0.5 - config.end_zone
+        needed = np.where(inner, config.min_lengthening, config.end_lengthening)
+        reached = np.where(known, ratio, 1.0 + np.nan_to_num(gap) / grid.closed_length)
+        parted = seen_parted & (reached >= needed)
         looked = grid.crosses_goal & ((known & np.isfinite(gap)) | parted)
         severed = np.where(grid.crosses_goal, parted, severed)
         known = np.where(grid.crosses_goal, looked, known)

@@ -71,8 +71,17 @@ class GapWatch:
     A slit may be open at t_d and close again while the tissue beside it is pulled; only somebody who looked all the time knows.
     """
 
-    def __init__(self, image: Image, points: Array, edges: NDArray[np.int64], crosses_goal: NDArray[np.bool_]) -> None:
+    def __init__(
+        self,
+        image: Image,
+        points: Array,
+        edges: NDArray[np.int64],
+        crosses_goal: NDArray[np.bool_],
+        between: tuple[float, ...] = (),
+    ) -> None:
+        """`between` are places beside each edge, in spacings towards the next one, that must be open too: strands are thinner than that."""
         self._edges = edges
+        self._between = between
         self._crossing = np.flatnonzero(crosses_goal)
         self._config = GapConfig()
         self._darkest = darkest_along(image, points, edges[self._crossing], self._config)
@@ -84,9 +93,21 @@ class GapWatch:
         """Look at a new picture; edges with an end that is not `seen` (N,) are left out."""
         edges = self._edges[self._crossing]
         now = gap_along(image, points, edges, self._config, self._darkest)
+        for part in self._between:
+            now = np.minimum(now, self._beside(image, points, part))
         now = np.where(seen[edges].all(axis=1), now, np.nan)
         self._widest = np.fmax(self._widest, np.minimum(now, self._last))
         self._last = now
+
+    def _beside(self, image: Image, points: Array, part: float) -> Array:
+        """The opening (C,) on a line beside each edge, `part` of the way to the next one (below 0: to the one before)."""
+        edges = self._edges[self._crossing]
+        ends = points[edges]
+        other = np.roll(ends, -1 if part > 0 else 1, axis=0)
+        other[-1 if part > 0 else 0] = ends[-1 if part > 0 else 0]
+        lines = ends + abs(part) * (other - ends)
+        pairs = np.arange(2 * len(lines)).reshape(-1, 2)
+        return gap_along(image, lines.reshape(-1, 2), pairs, self._config, self._darkest)
 
     def widest(self) -> Array:
         """Width (E,) [px] of the widest opening so far; nan where none could be looked for, and on edges that do not cross the goal."""

@@ -26,6 +26,7 @@ class GoalTrackerConfig:
 
     row_offset: float = 18.0  # [px] of either row from the goal line: clear of a cut that runs 1.5 mm beside it
     station_spacing: float = 8.0  # [px] along the goal
+    between: tuple[float, ...] = (-0.375, 0.375)  # [spacings] beside each edge where an opening must be seen too: thin strands
     min_seen: float = 0.3  # share of the stations
     grid: GridConfig = field(default_factory=GridConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
@@ -82,7 +83,7 @@ class GoalTracker:
         self._grid = grid_around(tracked, self.config.row_offset, self.config.grid)
         self._begin(frame, tracked.near, tracked.far, tracked.grasp, self._grid.points, self._grid.near_side)
         self._grid_valid = not tracked.lost
-        self._gaps = GapWatch(frame.image, self._grid.points, self._grid.edges, self._grid.crosses_goal)
+        self._gaps = GapWatch(frame.image, self._grid.points, self._grid.edges, self._grid.crosses_goal, self.config.between)
         self._read()
         return self._grid
 

@@ -138,7 +138,14 @@ def run_trial(
     started = monotonic()
     setting = draw(scene, seed)
     bench = prepared_bench(scene, setting, seed)
-    config = replace(config, grasp=replace(config.grasp, test_pull=TEST_PULL), pull=replace(config.pull, relaxed=RELAXED))
+    config = replace(
+        config,
+        grasp=replace(config.grasp, test_pull=TEST_PULL),
+        pull=replace(config.pull, relaxed=RELAXED),
+        # Nothing is cut halfway here, and truth is that of the edge's own line: an opening along it tells that it is severed.
+        tracker=replace(config.tracker, between=()),
+        elongation=replace(config.elongation, min_lengthening=config.elongation.end_lengthening),
+    )
     refusals: list[str] = []
     gate = SafetyGate(bench, Limits(), lambda decision: None if decision.accepted else refusals.append(decision.code.value))
     skills = SessionSkills(gate, config, ImmediateExecutor(), seed, "no calibration needed", None)

@@ -110,12 +110,13 @@ def test_a_stretched_strand_that_still_shows_tissue_is_connected() -> None:
     assert graph.probability[CROSSING[7]] < 0.5
 
 
-def test_a_slit_is_severed_though_it_is_shorter_than_tau() -> None:
+def test_a_slit_is_severed_at_the_goals_end_and_a_half_cut_in_its_middle_is_not() -> None:
     seen = np.zeros(len(GRID.edges))
-    seen[CROSSING[3]] = 3.0
-    graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(3.0), None, seen)
-    assert graph.elongation[CROSSING[3]] < ElongationConfig().tau
-    assert np.flatnonzero(graph.state[CROSSING] == EdgeState.SEVERED).tolist() == [3]
+    seen[CROSSING[[0, COUNT // 2]]] = 3.0
+    graph = estimate_connectivity(GRID, GRID.points, tracks_with_gap(3.0), ElongationConfig(end_zone=0.1), seen)
+    assert GRID.station[CROSSING[0]] < 0.1
+    assert (graph.elongation[CROSSING] < ElongationConfig().tau).all()
+    assert np.flatnonzero(graph.state[CROSSING] == EdgeState.SEVERED).tolist() == [0]
 
 
 def test_a_dark_fold_between_points_that_came_nearer_is_no_opening() -> None:
@@ -126,7 +127,7 @@ def test_a_dark_fold_between_points_that_came_nearer_is_no_opening() -> None:
 
 def test_an_edge_seen_to_part_stays_severed_when_its_ends_are_hidden() -> None:
     seen = np.zeros(len(GRID.edges))
-    seen[CROSSING[4]] = 12.0
+    seen[CROSSING[4]] = 20.0
     tracks = tracks_with_gap(30.0)
     hidden = tracks.visible.copy()
     hidden[GRID.edges[CROSSING[[4, 5]], 0]] = False
