@@ -347,3 +347,21 @@ def test_a_vessel_that_was_there_at_first_is_no_opening():
         watch.look(vessel, ENDS, ALL)
 
     assert (watch.widest()[:2] == 0.0).all()
+
+
+def test_a_strand_thinner_than_the_grid_keeps_the_edge_beside_it_from_counting_as_parted():
+    image = np.full((120, 160, 3), 200, np.uint8)
+    image[52:68, 20:140] = 40
+    image[52:68, 66:71] = 200  # bright tissue across the slit, between the lines at u = 60 and u = 80
+    u = np.array([40.0, 60.0, 80.0, 100.0])
+    points = np.concatenate([np.column_stack([u, np.full(4, 40.0)]), np.column_stack([u, np.full(4, 80.0)])])
+    edges = np.column_stack([np.arange(4), np.arange(4) + 4])
+    widths = []
+    for between in ((), (-0.375, 0.375)):
+        watch = GapWatch(image, points, edges, np.ones(4, dtype=bool), between)
+        watch.look(image, points, np.ones(8, dtype=bool))
+        widths.append(watch.widest())
+
+    assert (widths[0] > 12).all()
+    assert widths[1][1] < 1.0
+    assert (widths[1][[0, 3]] > 12).all()
