@@ -235,7 +235,7 @@ def _exposure(steps: list[Entry], ended: Entry | None, rounds: list[AttemptSumma
     plan, forecast = told.get("planned") or {}, told.get("forecast") or {}
     # A step is planned before it is known how far apart it brings the hypotheses: that is seen with the next one.
     series["separation"] = forecast.get("separation") or [view.get("separation") for view in views[1 : count + 1]]
-    series["agreement"] = plan.get("agreement") or plan.get("indecision") or []  # the outcome's word for it
+    series["agreement"] = plan.get("agreement") or []
     series["feasible"] = plan.get("feasible") or []
     series |= {name: told.get(name) or [] for name in ("tension", "strain")}
     return ExposureSummary(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -74,9 +73,6 @@ class Runner(Protocol):
 
     def positions(self) -> Floats:
         """Where the vertices are after a run, (worlds or 1, V, 3) [m]."""
-
-
-Maker = Callable[[Sheet, Load], Runner]
 
 
 def sheet(side: int = 21) -> Sheet:

@@ -39,7 +39,6 @@ class PlannerConfig:
 
     objective: Objective = Objective.OPENING
     mppi: MppiConfig = field(default_factory=MppiConfig)
-    stride: int = 1  # gripper steps of 0.5 mm that one planned step stands for
     camera: float = 1.0  # lambda_c
     deform: float = 1.0  # lambda_d
     opening: float = 1.0  # lambda_o, of the opening in units of the goal's length times the band
@@ -52,8 +51,6 @@ class PlannerConfig:
     smoothing: SmoothingConfig = field(default_factory=lambda: SmoothingConfig(min_tool_distance=3.5e-3))  # the gate's is 3 mm
 
     def __post_init__(self) -> None:
-        if self.stride < 1:
-            raise ValueError(f"stride must be at least 1, not {self.stride}")
         object.__setattr__(self, "objective", Objective(self.objective))
 
     @property
@@ -95,8 +92,8 @@ class Situation:
 class Plan:
     """`code` OK and the next `step` (3,) [m], or why the jaws must hold.
 
-    `nominal` (h, 3) planned steps; `samples` (K, h, 3) sampled ones; `terms` means over samples and horizon of camera, deform, opening;
-    `tension` [N] and `strain` expected after the step.
+    `nominal` (h, 3) planned steps; `samples` (K, h, 3) sampled ones; `camera`, `deform` and `opening` [px^2] are the terms of the loss,
+    means over samples (weighted) and horizon; `tension` [N] and `strain` expected after the step; the rest as in `MppiUpdate`.
     """
 
     code: Code
@@ -133,7 +130,6 @@ class Planner:
         self._limits = limits
         self._rng = rng
         mppi = config.mppi
-        self._longest = mppi.max_step * config.stride
         self._solver = XpbdSolver(model, mppi.samples, mppi.horizon, config.xpbd, device, threads)
         lips = lips_of(surface, model.seams) if config.objective is Objective.OPENING else None
         self._visibility = Visibility(region, model.triangles, camera, lips, config.visibility, device=self._solver.device)
@@ -145,7 +141,7 @@ class Planner:
 
     def begin(self, guess: Array) -> None:
         """Start from a pull along `guess` (3,), a direction."""
-        step = guess / max(float(np.linalg.norm(guess)), 1e-12) * self._longest
+        step = guess / max(float(np.linalg.norm(guess)), 1e-12) * self._config.mppi.max_step
         self._nominal = np.tile(step, (self._config.mppi.horizon, 1))
 
     def update(self, state: State, now: Situation) -> Plan:
@@ -156,11 +152,10 @@ class Planner:
         """
         if self._nominal is None:
             raise RuntimeError("a plan needs a first guess")
-        config, mppi = self._config, self._config.mppi
+        mppi = self._config.mppi
         nominal = self._nominal
         for iteration in range(mppi.iterations):
-            noise = perturbations(self._rng, adapted(mppi, iteration)) * config.stride
-            samples = controls(nominal, noise, self._longest)
+            samples = controls(nominal, perturbations(self._rng, adapted(mppi, iteration)), mppi.max_step)
             rollout = self._solver.rollout(state, samples)
             terms = self._visibility.terms(rollout)
             costs, feasible = self._cost(terms, now.tension(rollout.tension), samples, now)
@@ -173,7 +168,7 @@ class Planner:
         step, message = self._smoothed(nominal, samples, tension, rollout.strain, now)
         if step is None:
             return self._hold(Code.SMOOTHING_INFEASIBLE, message, samples)
-        self._nominal = shifted(nominal, 1) if config.stride == 1 else nominal
+        self._nominal = shifted(nominal)
         return Plan(
             code=Code.OK,
             message=outcome.message,
@@ -215,20 +210,15 @@ class Planner:
     def _smoothed(
         self, nominal: Array, samples: Array, tension: Array, strain: Array, now: Situation
     ) -> tuple[Array | None, str]:
-        """The first step of the smoothed plan, of full length, and in words why there is none.
-
-        The program plans steps as the arm makes them, so a planned step of several strides is put to it in units of one.
-        """
+        """The first step of the smoothed plan, of full length, or in words why there is none."""
         config, limits = self._config, self._limits
-        short = nominal / config.stride
-        lengths = np.linalg.norm(short, axis=1, keepdims=True)
+        lengths = np.linalg.norm(nominal, axis=1, keepdims=True)
         # An average of directions that agree is nearly of full length; what is missing is the samples' spread, not a wish to go slower.
-        full = short * np.minimum(config.mppi.max_step / np.maximum(lengths, 1e-9), 2.0)
+        full = nominal * np.minimum(config.mppi.max_step / np.maximum(lengths, 1e-9), 2.0)
         if not config.smooth:
             return full[0], ""
-        few = samples / config.stride
-        load, load_slope = sensitivities(few, tension, full)
-        stretched, stretch_slope = sensitivities(few, strain, full)
+        load, load_slope = sensitivities(samples, tension, full)
+        stretched, stretch_slope = sensitivities(samples, strain, full)
         problem = SmoothingProblem(
             nominal=full,
             position=now.gripper,

@@ -214,11 +214,6 @@ class TrackerDIS:
         self._templates[worn] = patches_at(gray, result[worn], c.patch_radius)
         return result
 
-    def _as_bright(self, patches: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Whether each point itself is about as bright as when it was last seen, whatever is around it."""
-        before = _centres(self._last_patches)
-        return np.asarray(np.abs(_centres(patches) - before) <= self.config.max_change * before)
-
     def _inside(self, points: Array) -> NDArray[np.bool_]:
         height, width = self._gray.shape
         return np.asarray((points >= 1).all(axis=1) & (points[:, 0] <= width - 2) & (points[:, 1] <= height - 2))

@@ -22,7 +22,6 @@ from hardware.stub.renderer import Label
 from hardware.stub.scene import Scene
 from hardware.stub.truth import severed_between
 from skills.estimate.graph import ConnectivityGraph, EdgeState
-from skills.expose.outcome import ExposeOutcome
 from skills.motion import pause, servo_line
 from skills.scene.goal import Goal
 from skills.skill import ImmediateExecutor, Steps
@@ -180,7 +179,6 @@ def run_trial(
         "message": held.message if outcome is None and held is not None else (outcome or tracked).message,
         "stopped_by": "" if outcome is None else outcome.stopped_by.value,
         "steps": 0 if outcome is None else len(outcome.path),
-        "travel_m": _travel(outcome),
         "visible_area_px": visible_area(bench),
         "peak_tension_n": max((s.tension for s in watch.samples), default=0.0),
         "peak_strain": max((s.strain for s in watch.samples), default=0.0),
@@ -303,12 +301,6 @@ def _stretch(line: Array, a: float, b: float) -> Array:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.unique(np.concatenate([np.linspace(a, b, 12), (arc / arc[-1])[(arc / arc[-1] > a) & (arc / arc[-1] < b)]])) * arc[-1]
     return np.column_stack([np.interp(at, arc, line[:, k]) for k in (0, 1)])
-
-
-def _travel(outcome: ExposeOutcome | None) -> float:
-    if outcome is None or len(outcome.path) < 2:
-        return 0.0
-    return float(np.linalg.norm(np.diff(outcome.path, axis=0), axis=1).sum() + np.linalg.norm(outcome.path[1] - outcome.path[0]))
 
 
 def _run(bench: StubBench, steps: Steps[T], skills: SessionSkills, watch: _Watch, tracking: bool = True) -> T:

@@ -113,9 +113,8 @@ def test_a_useless_guess_is_turned_across_the_goal(objective, guess):
 
 
 @BOTH
-@pytest.mark.parametrize("stride", [1, 3])
-def test_each_update_goes_on_from_the_one_before(objective, stride):
-    pull = Pull(objective, stride=stride, smooth=False).begin(ALONG)
+def test_each_update_goes_on_from_the_one_before(objective):
+    pull = Pull(objective, smooth=False).begin(ALONG)
 
     turned = [angle(pull.update().nominal[0], ACROSS) for _ in range(5)]
 
@@ -144,17 +143,16 @@ def test_a_pull_that_is_followed_opens_more_and_more_of_the_cut(objective):
 
 
 @pytest.mark.parametrize("smooth", [True, False])
-@pytest.mark.parametrize("stride", [1, 3])
 @BOTH
-def test_no_step_is_longer_than_allowed(objective, stride, smooth):
-    pull = Pull(objective, stride=stride, smooth=smooth).begin(ACROSS + ALONG)
+def test_no_step_is_longer_than_allowed(objective, smooth):
+    pull = Pull(objective, smooth=smooth).begin(ACROSS + ALONG)
 
     plans = pull.go(4)
 
     assert all(plan.code is Code.OK for plan in plans)
     assert max(lengths(plan.step) for plan in plans) <= STEP * (1 + 1e-6)
-    assert max(lengths(plan.nominal).max() for plan in plans) <= stride * STEP * (1 + 1e-6)
-    assert max(lengths(plan.samples).max() for plan in plans) <= stride * STEP * (1 + 1e-6)
+    assert max(lengths(plan.nominal).max() for plan in plans) <= STEP * (1 + 1e-6)
+    assert max(lengths(plan.samples).max() for plan in plans) <= STEP * (1 + 1e-6)
 
 
 def test_a_pull_that_is_under_way_goes_on_at_nearly_full_length():
@@ -244,15 +242,14 @@ def test_at_the_limit_of_tension_the_jaws_hold_or_give_way(objective, share):
 
 
 @BOTH
-@pytest.mark.parametrize("stride", [1, 3])
-def test_the_pull_does_not_pass_the_limit_of_tension(objective, stride):
+def test_the_pull_does_not_pass_the_limit_of_tension(objective):
     free = Pull(objective).begin()
     greatest = []
     for _ in range(10):
         free.go(1)
         greatest.append(free.tension)
     limit = 0.6 * max(greatest)
-    tight = Pull(objective, limits=replace(ROOMY, tension=limit), stride=stride).begin()
+    tight = Pull(objective, limits=replace(ROOMY, tension=limit)).begin()
 
     for _ in range(10):
         tight.go(1)
@@ -318,9 +315,8 @@ def test_the_length_of_the_first_guess_does_not_matter():
 
 @BOTH
 @pytest.mark.parametrize("iterations", [1, 2])
-@pytest.mark.parametrize("stride", [1, 3])
-def test_a_plan_says_what_is_expected_of_it(objective, iterations, stride):
-    plan = Pull(objective, stride=stride, sampling={"iterations": iterations}).begin().update()
+def test_a_plan_says_what_is_expected_of_it(objective, iterations):
+    plan = Pull(objective, sampling={"iterations": iterations}).begin().update()
 
     assert (plan.code, plan.step.shape) == (Code.OK, (3,))
     assert plan.nominal.shape == (HORIZON, 3)
@@ -357,21 +353,9 @@ def test_after_a_hold_planning_goes_on_where_it_was():
     assert angle(undisturbed.update().step, ACROSS) < 20.0
 
 
-def test_a_longer_stride_looks_farther_ahead():
-    near, far = (Pull(stride=stride, smooth=False).begin().update() for stride in (1, 3))
-
-    assert far.opening > 1.5 * near.opening
-    assert lengths(far.nominal[0]) > 2.0 * lengths(near.nominal[0])
-
-
 def test_each_objective_is_planned_on_its_own_version_of_the_model():
     assert PlannerConfig(objective=Objective("opening")).hypothesis == BELIEVED
     assert PlannerConfig(objective=Objective("paper")).hypothesis == CONNECTED
-
-
-def test_a_stride_of_nothing_is_refused():
-    with pytest.raises(ValueError, match="stride"):
-        PlannerConfig(stride=0)
 
 
 def test_an_unknown_objective_is_refused():
