@@ -39,7 +39,7 @@ class Expose(RunSkill[ExposeOutcome]):
             path=_numbers(outcome.path),
             tension=_numbers(outcome.tension),
             strain=_numbers(outcome.strain),
-            keyframes=_numbers(outcome.keyframes),
+            stamps=_numbers(outcome.stamps),
             **{name: _columns(columns) for name, columns in expected.items() if columns is not None},
         )
         return super().judge(outcome)

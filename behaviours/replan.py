@@ -35,6 +35,10 @@ class Replan(RunSkill[NextGoal]):
             message=outcome.message,
             segments=outcome.segments.tolist(),
             severs=[list(edges) for edges in outcome.severs],
+            reasons=list(outcome.reasons),
+            proven=outcome.proven,
+            greedy_segments=outcome.greedy_segments,
+            left_out=outcome.left_out,
         )
         if outcome.code is Code.OK and not len(outcome.segments):
             return self.fail(Code.NO_CANDIDATE, "the goal is not known to be severed, but no segment would sever what is left")

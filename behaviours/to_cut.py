@@ -47,4 +47,4 @@ def to_cut(goal: Goal, tracked: TrackedGoal | None, plan: Plan | None, interrupt
         segments = flat.reshape(-1, 2, 2)
     if not np.isfinite(segments).all():
         return None
-    return ToCut(tracked.polyline, segments, plan.goal.message)
+    return ToCut(tracked.polyline, segments, plan.goal.explanation)

@@ -9,7 +9,7 @@ import os
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -45,6 +45,20 @@ class Expose(StrEnum):
     GOAL_NORMAL = "goal-normal"
 
 
+class Rule(StrEnum):
+    """How edges are judged; the same words as `skills.estimate.rule.Rule`, without what it imports."""
+
+    LIKELIHOOD = "likelihood"
+    ELONGATION = "elongation"
+
+
+class Cover(StrEnum):
+    """How the corrective segments are chosen."""
+
+    OPTIMAL = "optimal"
+    GREEDY = "greedy"
+
+
 class Approve(StrEnum):
     """Who approves goals."""
 
@@ -65,6 +79,16 @@ ExposeOption = Annotated[
     Expose,
     typer.Option(help="Plan the pull (optimal), or pull straight: from the goal's middle to the grasp, or across the goal."),
 ]
+RuleOption = Annotated[
+    Rule, typer.Option(help="Judge edges by the whole pull (likelihood), or by the paper's threshold on length (elongation).")
+]
+CoverOption = Annotated[
+    Cover, typer.Option(help="Correct with the fewest segments, proven (optimal), or by the paper's greedy choice (greedy).")
+]
+TrackerOption = Annotated[
+    str, typer.Option(help="dis, dis-chained, lk, litetracker, cotracker3, raft, or a tracker exported to .onnx or .pt2.")
+]
+WeightsOption = Annotated[Path | None, typer.Option("--tracker-weights", help="Checkpoint file of a learned tracker.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file.")]
 
 
@@ -74,7 +98,14 @@ def run(
     goal: Annotated[Path | None, typer.Option(help="Goal file (JSON); default: what an expert would draw on the scene.")] = None,
     agent: Annotated[Agent, typer.Option(help="Dissection agent.")] = Agent.PLANNING,
     expose: ExposeOption = Expose.OPTIMAL,
-    device: Annotated[str, typer.Option(help="Where the exposure is planned: auto, cpu, or a GPU such as cuda:0.")] = "auto",
+    rule: RuleOption = Rule.LIKELIHOOD,
+    cover: CoverOption = Cover.OPTIMAL,
+    tracker: TrackerOption = "dis",
+    weights: WeightsOption = None,
+    device: Annotated[
+        str,
+        typer.Option(help="Where the exposure is planned and a learned tracker computes: auto, cpu, or a GPU such as cuda:0."),
+    ] = "auto",
     attempts: Annotated[int, typer.Option(min=1, max=20, help="Most attempts.")] = 3,
     feedback: Annotated[bool, typer.Option(help="Expose, estimate and replan after each attempt.")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Gives every random draw.")] = 0,
@@ -85,7 +116,9 @@ def run(
 ) -> None:
     """Run one supervised session on the stub bench."""
     from hardware.stub.scene import load_scene
+    from skills.estimate.rule import Rule as EdgeRule
     from supervisor.approvers import AutoApprover, PromptApprover
+    from supervisor.choices import Choices
     from supervisor.run import RunOptions, exit_status, prepare
     from supervisor.run import run as run_session
     from supervisor.skillset import ExposureKind
@@ -98,8 +131,9 @@ def run(
     folder = record or _new_folder(loaded.name, seed)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"the record folder {folder} is already there and not empty; name a new one")
-    kind, asked = ExposureKind(expose.value), approve is Approve.PROMPT
-    options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, asked, kind, device)
+    covering: Literal["optimal", "greedy"] = "greedy" if cover is Cover.GREEDY else "optimal"
+    choices = Choices(ExposureKind(expose.value), EdgeRule(rule.value), covering, tracker, weights, device)
+    options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, approve is Approve.PROMPT, choices)
     start_warp()
     with console.status("preparing the bench (the first run compiles its kernels)"):
         bench, checked = prepare(options)
@@ -243,6 +277,46 @@ def exposure(
             console.print(f"Interrupted. The pulls that ended are in {journal}; the same command goes on after them.")
             raise typer.Exit(3) from None
     _write_json(json_file, plain(figures))
+    console.print(*tables(figures), f"{figures['wall_s']:.0f} s", sep="\n")
+
+
+@experiment.command()
+def detection(
+    cases: Annotated[int, typer.Option(min=1, help="Seeds; each is a tissue, a cut, an expert's pull and a disturbance.")] = 50,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first case; the others count up.")] = 0,
+    tracker: TrackerOption = "dis",
+    weights: WeightsOption = None,
+    device: Annotated[str, typer.Option(help="Where a learned tracker computes: cpu, or a GPU such as cuda:0.")] = "cpu",
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Judge by lk, by dis chained and by the elongation rule, too.")
+    ] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Which edges are judged connected or severed, and how rightly (paper, Evaluation of Dissection Feedback)."""
+    from supervisor.experiments.detection import DetectionSettings, run_experiment, variants, write_rows
+    from supervisor.experiments.detection_summary import tables
+    from supervisor.plain import plain
+
+    settings = DetectionSettings(cases, seed, tracker, weights, device, compare)
+    result = json_file or Path("detection.json")
+    journal = result.with_suffix(".trials.jsonl")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    console = Console()
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("pulls", total=cases * len(variants(settings)))
+
+        def progress(run: dict[str, Any]) -> None:
+            bar.update(task, advance=1, description=f"pulls (seed {run['seed']}, {run['variant']})")
+
+        try:
+            figures, edges = run_experiment(settings, journal, workers, progress)
+        except KeyboardInterrupt:
+            console.print(f"Interrupted. The pulls that ended are in {journal}; the same command goes on after them.")
+            raise typer.Exit(3) from None
+    _write_json(json_file, plain(figures))
+    if json_file is not None:
+        write_rows(result.with_suffix(".edges.jsonl"), edges)
     console.print(*tables(figures), f"{figures['wall_s']:.0f} s", sep="\n")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,17 @@ from behaviours.session_outcome import SessionOutcome
 from hardware.codes import Code
 from hardware.stub.bench import StubBench
 from hardware.stub.scene import Scene
-from skills.expose.optimal import OptimalConfig
-from skills.expose.xpbd import choose_device
 from skills.scene.goal import Goal, load_goal, validate_goal
 from skills.scene.tissue import tissue_mask, tissue_outline
+from skills.tracking.choose import make_tracker
 from supervisor import topics
+from supervisor.choices import Choices
 from supervisor.doctor import versions
 from supervisor.experiments.evaluator import evaluate
 from supervisor.record import Recorder
 from supervisor.report import write_report
 from supervisor.session import Session, SessionSetup
-from supervisor.skillset import ExposureKind, SkillConfig
+from supervisor.skillset import SkillConfig
 from supervisor.stub_goal import drawn_goal
 from supervisor.view_rerun import RerunView
 from supervisor.views import View
@@ -67,17 +67,16 @@ class RunOptions:
     seed: int
     record: Path
     in_real_time: bool  # an operator is asked: bench time must not run away while they think
-    exposure: ExposureKind = ExposureKind.OPTIMAL
-    device: str = "auto"  # on which the exposure is planned
+    choices: Choices = field(default_factory=Choices)
 
 
 def prepare(options: RunOptions) -> tuple[StubBench, Goal]:
     """The bench and the checked goal; nothing has moved and nothing is recorded yet.
 
     Raises:
-        InputError: the goal cannot be used on this scene, or there is no such device.
+        InputError: the goal cannot be used on this scene, or something chosen cannot be had here.
     """
-    choose_device(options.device)
+    make_tracker(options.choices.skills().choice)
     bench = StubBench(options.scene, options.seed)
     goal = drawn_goal(bench) if options.goal_file is None else load_goal(options.goal_file)
     camera = bench.endoscope.camera
@@ -101,8 +100,7 @@ def run(
         KeyboardInterrupt: after the arms hold, and the record and the report are written.
     """
     started = time.monotonic()
-    skills = SkillConfig(exposure=options.exposure, optimal=OptimalConfig(device=choose_device(options.device)))
-    setup = SessionSetup(goal, options.seed, options.attempts, options.feedback, skills=skills)
+    setup = SessionSetup(goal, options.seed, options.attempts, options.feedback, skills=options.choices.skills())
     recorder = Recorder(options.record, header(options, setup))
     if rerun is not None:
         bench.observe(_mesh_feed(bench, rerun))
@@ -137,16 +135,28 @@ def header(options: RunOptions, setup: SessionSetup) -> dict[str, Any]:
         "scene": options.scene.name,
         "agent": options.agent,
         "exposure": setup.skills.exposure.value,
+        "rule": setup.skills.rule.value,
+        "cover": setup.skills.replan.cover,
+        "tracker": Path(setup.skills.choice.kind).name,
         "device": setup.skills.optimal.device,
         "seed": options.seed,
         "feedback": options.feedback,
         "attempts": options.attempts,
         "goal": {"polyline": setup.goal.polyline.tolist(), "grasp": setup.goal.grasp.tolist()},
         "limits": dataclasses.asdict(setup.limits),
-        "configuration": {"skills": dataclasses.asdict(setup.skills), "scene": dataclasses.asdict(options.scene)},
+        "configuration": {"skills": _without_paths(setup.skills), "scene": dataclasses.asdict(options.scene)},
         "calibration": setup.calibration,
         "versions": versions(),
     }
+
+
+def _without_paths(skills: SkillConfig) -> dict[str, Any]:
+    """The settings of the skills; of the user's files only the names."""
+    weights = skills.choice.weights
+    told = dataclasses.replace(
+        skills.choice, kind=Path(skills.choice.kind).name, weights=None if weights is None else Path(weights).name
+    )
+    return dataclasses.asdict(dataclasses.replace(skills, choice=told))
 
 
 def exit_status(outcome: str) -> int:

@@ -17,27 +17,34 @@ from skills.checklist import checklist
 from skills.checklist_outcome import CheckOutcome
 from skills.dissect.outcome import DissectOutcome
 from skills.dissect.planning import PlanningAgent, PlanningConfig
-from skills.estimate.elongation import ElongationConfig, estimate_connectivity
+from skills.estimate.elongation import ElongationConfig
+from skills.estimate.elongation import estimate_connectivity as by_elongation
 from skills.estimate.graph import ConnectivityGraph
 from skills.estimate.grid import Grid
-from skills.expose.optimal import OptimalConfig, SteeringOptimal, View
+from skills.estimate.likelihood import LikelihoodConfig
+from skills.estimate.likelihood import estimate_connectivity as by_likelihood
+from skills.estimate.look import Look
+from skills.estimate.rule import Rule
+from skills.expose.foreseen import SteeringForeseen
+from skills.expose.optimal import OptimalConfig, SteeringOptimal, View, sight_config
 from skills.expose.outcome import ExposeOutcome
 from skills.expose.pull import Exposure, PullConfig, Steering
 from skills.expose.straight import Direction, SteeringStraight
 from skills.grasp import GraspConfig, Grasped
 from skills.replan.candidates import ReplanConfig
-from skills.replan.greedy import next_goal
 from skills.replan.next_goal import NextGoal
+from skills.replan.plan import next_goal
 from skills.retreat import retreat
 from skills.retreat_outcome import RetreatOutcome
 from skills.scene.goal import Goal
-from skills.scene.stereo import DepthMap, StereoConfig, depth_from_stereo, region_around
-from skills.scene.tissue import TissueConfig
+from skills.scene.stereo import DepthMap, StereoConfig, depth_at, depth_from_stereo, region_around
+from skills.scene.tissue import TissueConfig, hidden_mask, tissue_mask, tissue_outline
 from skills.skill import Progress, Steps, computed
+from skills.tracking.choose import TrackerChoice, make_tracker
 from skills.tracking.goal_tracker import GoalTracker, GoalTrackerConfig
 from skills.tracking.outcome import TrackOutcome
 from skills.tracking.strain import StrainConfig, StrainGauge
-from skills.tracking.tracks import TrackedGoal, Tracks
+from skills.tracking.tracks import TrackedGoal
 
 
 class ExposureKind(StrEnum):
@@ -53,6 +60,8 @@ class SkillConfig:
     """Settings of every skill; written into the record as they are."""
 
     exposure: ExposureKind = ExposureKind.OPTIMAL
+    rule: Rule = Rule.LIKELIHOOD
+    choice: TrackerChoice = field(default_factory=TrackerChoice)
     planning: PlanningConfig = field(default_factory=PlanningConfig)
     grasp: GraspConfig = field(default_factory=GraspConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
@@ -60,6 +69,7 @@ class SkillConfig:
     optimal: OptimalConfig = field(default_factory=OptimalConfig)
     tracker: GoalTrackerConfig = field(default_factory=GoalTrackerConfig)
     elongation: ElongationConfig = field(default_factory=ElongationConfig)
+    likelihood: LikelihoodConfig = field(default_factory=LikelihoodConfig)
     replan: ReplanConfig = field(default_factory=ReplanConfig)
     tissue: TissueConfig = field(default_factory=TissueConfig)
     strain: StrainConfig = field(default_factory=StrainConfig)
@@ -88,8 +98,7 @@ class SessionSkills:
         self._reference_wanted = False
         self._due = -np.inf
         self._gauge: StrainGauge | None = None
-        self.keyframes: list[Tracks] = []  # of the grid's keypoints, since the newest reference
-        self._keyframe_due = 0
+        self._looks: list[Look] = []  # at the grid's keypoints, since the newest reference
         self._strain, self._strain_seen, self._strain_due = float("nan"), -np.inf, -np.inf
         self._park: Pose | None = None
         self.frame: Frame | None = None
@@ -105,7 +114,7 @@ class SessionSkills:
     def start_tracking(self, goal: Goal) -> Steps[TrackOutcome]:
         """Begin to follow the approved goal on the newest frame."""
         yield Progress("looking at the goal")
-        tracker = GoalTracker(self._config.tracker)
+        tracker = GoalTracker(self._config.tracker, make_tracker(self._config.choice, self._config.tracker.tracker))
         self.frame = self._gate.bench.endoscope.left()
         self._tracked = tracker.start(self.frame, goal)
         if self._tracked.lost:
@@ -131,7 +140,7 @@ class SessionSkills:
                     if self._exposure.pulling and bench.now() >= self._strain_due:
                         yield from computed(self._executor, "measuring strain", self._read_strain)
                     self._tracked = replace(self._tracked, strain=self._strain)
-                    self._keep_keyframe()
+                    self._keep_look()
             yield Progress("following the goal")
 
     def tracked(self) -> TrackedGoal | None:
@@ -183,24 +192,22 @@ class SessionSkills:
         return (yield from computed(self._executor, "estimating what is still attached", self._estimate, self._tracker))
 
     def replan(self, graph: ConnectivityGraph) -> Steps[NextGoal]:
-        """The fewest segments that sever what is left (greedy)."""
+        """The fewest segments that sever what is left, on the tissue; nothing is cut unseen."""
         yield Progress("planning the corrective cuts")
-        assert self._tracked is not None
-        plan = computed(
-            self._executor, "planning the corrective cuts", next_goal, graph, self._tracked, self._config.replan, self._rng
-        )
-        return (yield from plan)
+        return (yield from computed(self._executor, "planning the corrective cuts", self._replan, graph))
 
     def retreat(self, lease: Lease) -> Steps[RetreatOutcome]:
         """Scissors to where they waited, both arms hold."""
         return (yield from retreat(lease, self._park or lease.measured_cp(CUTTER).value))
 
     def _steering(self) -> Steering:
-        config = self._config
+        config, executor = self._config, self._executor
         if config.exposure is ExposureKind.OPTIMAL:
             rng = np.random.default_rng([self._seed, 4])
-            return SteeringOptimal(config.optimal, config.stereo, config.tissue, self._executor, rng, self._gaps)
-        return SteeringStraight(Direction(config.exposure.value), config.pull.step, config.stereo, self._executor)
+            return SteeringOptimal(config.optimal, config.stereo, config.tissue, executor, rng, self._gaps)
+        straight = SteeringStraight(Direction(config.exposure.value), config.pull.step, config.stereo, executor)
+        sight = sight_config(config.optimal, config.stereo, config.tissue)
+        return SteeringForeseen(straight, sight, config.optimal.separation, executor, self._gaps)
 
     def _begin_strain(self) -> None:
         """From now on strain counts from here."""
@@ -208,7 +215,7 @@ class SessionSkills:
         grid = self._tracker.grid()
         if grid is None:
             return
-        self.keyframes, self._keyframe_due = [], self._config.pull.keyframe_every
+        self._looks = []
         self._gauge = StrainGauge(grid, self._depth(grid.points), self._gate.bench.endoscope.camera, self._config.strain)
         self._strain, self._strain_seen = 0.0, self._gate.bench.now()
         self._gate.report_strain(0.0, self._strain_seen)
@@ -226,13 +233,17 @@ class SessionSkills:
             self._strain = float("nan")
         self._gate.report_strain(self._strain, now)
 
-    def _keep_keyframe(self) -> None:
-        """Keep where the keypoints are after every few steps of a pull, for the estimate: the history of each edge."""
+    def _keep_look(self) -> None:
+        """Keep what is seen after each step of a pull: the history of each edge."""
         assert self._tracker is not None
         step = self._exposure.steps_done
-        if self._exposure.pulling and step >= self._keyframe_due:
-            self._keyframe_due = step + self._config.pull.keyframe_every
-            self.keyframes.append(self._tracker.grid_tracks()[1])
+        if self._exposure.pulling and step > (self._looks[-1].step if self._looks else 0):
+            self._looks.append(self._look_now(self._tracker))
+
+    def _look_now(self, tracker: GoalTracker) -> Look:
+        gaps = tracker.gaps()
+        assert gaps is not None, "there is a look at the grid only after the reference"
+        return Look(self._exposure.steps_done, tracker.grid_tracks()[1], gaps.parted(), gaps.bed())
 
     def _depth(self, points: Array) -> DepthMap:
         """Stereo depth around `points` (N, 2), those that are finite; of the whole picture if none is."""
@@ -244,7 +255,8 @@ class SessionSkills:
         return depth_from_stereo(endoscope.stereo(), camera, self._config.stereo, region)
 
     def _gaps(self) -> Array | None:
-        return None if self._tracker is None else self._tracker.gaps()
+        gaps = None if self._tracker is None else self._tracker.gaps()
+        return None if gaps is None else gaps.decided()
 
     def _mark_reference(self) -> Steps[Grid | None]:
         """Ask the tracker, which runs beside, for a reference: its grid, or None if it was not taken in time."""
@@ -257,6 +269,30 @@ class SessionSkills:
             yield Progress("taking the reference image")
         return self.grid()
 
+    def _replan(self, graph: ConnectivityGraph) -> NextGoal:
+        assert self._tracked is not None and self._tracker is not None and self.frame is not None
+        config, image = self._config, self.frame.image
+        outline = tissue_outline(tissue_mask(image, config.tissue) | hidden_mask(image, config.tissue))
+        seen = self._tracker.grid_tracks()[1].visible
+        return next_goal(graph, self._tracked, config.replan, self._rng, outline, seen, self._goal_length())
+
+    def _goal_length(self) -> float | None:
+        """Length [m] of the goal as tracked, by stereo along its nearer and its farther row; None where too little depth is seen."""
+        assert self._tracked is not None
+        rows = [self._tracked.near, self._tracked.far]
+        depth, camera = self._depth(np.vstack(rows)), self._gate.bench.endoscope.camera
+        lengths = []
+        for row in rows:
+            points = camera.unproject(row, depth_at(depth, row, self._config.strain.radius))
+            steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+            known = np.isfinite(steps)
+            if known.mean() > 0.5:
+                lengths.append(float(np.median(steps[known])) * len(steps))
+        return min(lengths) if lengths else None
+
     def _estimate(self, tracker: GoalTracker) -> ConnectivityGraph:
         reference, tracks, grid = tracker.grid_tracks()
-        return estimate_connectivity(grid, reference, tracks, self._config.elongation, tracker.gaps())
+        if self._config.rule is Rule.ELONGATION:
+            return by_elongation(grid, reference, tracks, self._config.elongation)
+        looks = [*self._looks, self._look_now(tracker)]
+        return by_likelihood(grid, reference, looks, self._exposure.forecast(), self._config.likelihood)

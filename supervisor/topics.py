@@ -58,7 +58,19 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     RECOVERY: ("dissect.Recovery", {"step": TEXT, "code": TEXT, "recovery": TEXT}),
     INTERRUPTION: ("dissect.Interruption", {"count": INTEGER}),
-    PLAN: ("dissect.Plan", {"code": TEXT, "message": TEXT, "segments": LIST, "severs": LIST}),
+    PLAN: (
+        "dissect.Plan",
+        {
+            "code": TEXT,
+            "message": TEXT,
+            "segments": LIST,
+            "severs": LIST,
+            "reasons": LIST,
+            "proven": {"type": "boolean"},
+            "greedy_segments": {"type": ["integer", "null"]},
+            "left_out": INTEGER,
+        },
+    ),
     EXPOSED: (
         "dissect.Exposed",
         {
@@ -69,7 +81,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "path": LIST,
             "tension": LIST,
             "strain": LIST,
-            "keyframes": LIST,
+            "stamps": LIST,
             "forecast": {"type": "object"},
             "planned": {"type": "object"},
         },

@@ -10,11 +10,12 @@ from hardware.codes import InputError
 from hardware.interface import CUTTER, GRASPER, Array, Pose
 from hardware.stub.arms import ArmConfig, StubArm
 from hardware.stub.endoscope import StubEndoscope
+from hardware.stub.ligaments import ligaments
 from hardware.stub.phantom import Phantom
 from hardware.stub.scene import Scene
 from hardware.stub.sheet_solver import bed_height
 from hardware.stub.snip import BladeSweep, bed_depth, severed
-from hardware.stub.surface import SheetSurface, ToolShape
+from hardware.stub.surface import Ligaments, SheetSurface, ToolShape
 
 STEP = 1.0 / 120.0  # [s]
 STEPS_PER_TEAR_CHECK = 4
@@ -34,6 +35,7 @@ class StubBench:
         hold_force = max(0.5, config.grip_force + config.grip_variation * float(draws.standard_normal()))
         self._rotation, self._translation = scene.camera_from_table()
         self.phantom = Phantom(scene, seed, hold_force, STEP)
+        self._half_cut: tuple[tuple[float, ...], Ligaments] = ((0,), Ligaments.none())
         self._steps = 0
         self._pressed = False
         self._observers: list[Callable[[], None]] = []
@@ -116,6 +118,7 @@ class StubBench:
             mesh.triangles,
             mesh.revision,
             self.scene.tissue.thickness,
+            self._ligaments(),
         )
 
     def tools(self) -> list[ToolShape]:
@@ -153,6 +156,14 @@ class StubBench:
             self.phantom.tear()
         for callback in self._observers:
             callback()
+
+    def _ligaments(self) -> Ligaments:
+        """What holds half-cut lips together; worked out anew after a cut or a tear alone."""
+        mesh = self.phantom.mesh
+        state = (mesh.revision, *(seam.damage for seam in mesh.seams))
+        if self._half_cut[0] != state:
+            self._half_cut = (state, ligaments(mesh))
+        return self._half_cut[1]
 
     def _follow_grasper(self, tip: Pose) -> None:
         jaw, last = self._arms[GRASPER].true_jaw(), self._last_jaw[GRASPER]

@@ -116,7 +116,8 @@ class DeviceMesh:
 class Renderer:
     """Draws one sheet over one bed. Repeatable to the byte: an image depends on the look, the scene, `sequence` and `eye` alone.
 
-    One renderer follows one sheet, whose `revision` must grow with each change of topology. One thread at a time may use it.
+    One renderer follows one sheet, whose `revision` must grow with each change of topology; its ligaments may tear
+    without one. One thread at a time may use it.
     """
 
     def __init__(self, look: Look, camera: CameraModel, base: BaseSurface) -> None:
@@ -147,7 +148,7 @@ class Renderer:
         return left, right.result()
 
     def _placed(self, sheet: SheetSurface, tools: Sequence[ToolShape]) -> DeviceMesh:
-        """The mesh with everything where it is now; built anew only after a cut or a change of instruments."""
+        """The mesh with everything where it is now; built anew only after a cut, a tear or a change of instruments."""
         if not np.isfinite(sheet.positions).all():
             raise ValueError("the sheet has vertices whose positions are not finite")
         meshes: list[ToolMesh] = [tool_mesh(tool) for tool in tools]
@@ -260,6 +261,7 @@ def _atlas(look: Look) -> tuple[wp.array, wp.array, tuple[TextureScale, TextureS
         Label.WALL: (1, 0.05, 0.5, 0.25),
         Label.BASE: (2, 0.08, 0.7, 0.2),
         Label.TOOL: (3, 0.9, 2.2, 0.0),
+        Label.SEAM: (1, 0.05, 0.5, 0.25),
     }
     layers = [Layer() for _ in Label]
     for label, (texture, sheen, glint, wrap) in surfaces.items():

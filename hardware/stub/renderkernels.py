@@ -22,6 +22,7 @@ LANE = wp.constant(wp.uint64(0xFFFF))
 TOP = wp.constant(int(Label.TOP))
 WALL = wp.constant(int(Label.WALL))
 BASE = wp.constant(int(Label.BASE))
+SEAM = wp.constant(int(Label.SEAM))
 
 
 @wp.struct
@@ -122,7 +123,7 @@ def set_up(
         s.t0 = texels[i, 0]
         s.t1 = texels[i, 1]
         s.t2 = texels[i, 2]
-        if label == WALL:
+        if label == WALL or label == SEAM:  # noqa: SIM109 (Warp has no tuples to search)
             p0 = vertices[c[0]]
             n = wp.normalize(wp.cross(vertices[c[1]] - p0, vertices[c[2]] - p0))
             s.n0 = n

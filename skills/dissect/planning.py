@@ -1,7 +1,7 @@
 """The planning agent (paper, Planning-based Dissection): grasp, retract along the goal's normal, and cut along it snip by snip.
 
 The tracked goal is lifted to 3D by stereo depth; the cut is a series of line segments with the tool oriented along the path; each snip
-moves to its pose, inserts to a fixed depth and closes.
+moves to its pose, inserts to a fixed depth and closes. Each corrective pass goes a little deeper.
 """
 
 from collections.abc import Callable
@@ -32,6 +32,8 @@ class PlanningConfig:
     snip: float = 5.0e-3  # advance along the goal from snip to snip
     overlap: float = 1.6e-3  # by which neighbouring snips are meant to overlap
     depth: float = 3.0e-3  # of the closed tip below the surface: the fixed insertion depth
+    deeper: float = 0.6e-3  # at each corrective pass: what was cut there and still holds was cut too shallow
+    deepest: float = 4.5e-3
     clearance: float = 12e-3  # of the tip above the surface between snips
     least_jaw: float = np.deg2rad(20.0)
     most_jaw: float = np.deg2rad(60.0)
@@ -55,6 +57,7 @@ class PlanningAgent:
         self._grasp = grasp
         self._stereo = stereo
         self._executor = executor
+        self._depth = config.depth
         self.grasped: Grasped | None = None
         self.clear_view = True
 
@@ -65,13 +68,16 @@ class PlanningAgent:
             goal = tracked()
             if goal is None or goal.lost:
                 return DissectOutcome(Code.GOAL_LOST, "the goal cannot be seen well enough to cut", ())
-            plan = [np.array([[0.0, 0.0], [1.0, 0.0]])] if segments is None else [to_goal_coordinates(goal, s) for s in segments]
+            deeper = 0.0 if segments is None else self._depth - self._config.depth + self._config.deeper
+            self._depth = min(self._config.depth + deeper, self._config.deepest)
+            plan = [np.array([[0.0, 0.0], [1.0, 0.0]])] if segments is None else [_on_goal(goal, s) for s in segments]
             if self.grasped is None:
                 report = yield from self.take_hold(lease, goal, self._config.retraction)
                 if report.status is MoveStatus.FAILED:
                     return DissectOutcome(report.code, report.message, ())
             for number, segment in enumerate(plan):
-                report = yield from self._cut_segment(lease, tracked, segment, f"segment {number + 1} of {len(plan)}", snips)
+                name = f"segment {number + 1} of {len(plan)}"
+                report = yield from self._cut_segment(lease, tracked, segment, segments is not None, name, snips)
                 if report.status is MoveStatus.FAILED:
                     return DissectOutcome(report.code, report.message, tuple(snips))
             missed = [snip for snip in snips if snip.code is not Code.OK]
@@ -114,7 +120,13 @@ class PlanningAgent:
     # ------------------------------------------------------------ cutting
 
     def _cut_segment(
-        self, lease: Lease, tracked: Callable[[], TrackedGoal | None], segment: Array, name: str, snips: list[Snip]
+        self,
+        lease: Lease,
+        tracked: Callable[[], TrackedGoal | None],
+        segment: Array,
+        corrective: bool,
+        name: str,
+        snips: list[Snip],
     ) -> Steps[MoveReport]:
         """Cut one segment, given in goal coordinates (2, 2), as a row of snips planned on the goal as it lies now."""
         count = None
@@ -127,13 +139,16 @@ class PlanningAgent:
             path = self._lift(lease, goal, depth, segment)
             if path is None:
                 return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, f"the depth along {name} cannot be seen")
-            length = path.length
+            # The blades reach over the ends of what they are to cut; at the goal's own ends a corrective cut keeps inside.
+            before, after = (self._config.overlap / 2 if corrective and end in (0.0, 1.0) else 0.0 for end in segment[:, 0])
+            before, after = (min(inset, path.length / 4) for inset in (before, after))
+            length = path.length - before - after
             if count is None:
                 count = max(1, int(np.ceil(length / self._config.snip - 0.05)))
             stretch = length / count
             doing = f"{name}: snip {done + 1} of {count}"
-            report, pose = yield from self._snip(lease, path, (done + 0.5) * stretch, stretch, doing)
-            start, end = path.pixels_at((done * stretch, (done + 1) * stretch))
+            report, pose = yield from self._snip(lease, path, before + (done + 0.5) * stretch, stretch, doing)
+            start, end = path.pixels_at((before + done * stretch, before + (done + 1) * stretch))
             if report.status is MoveStatus.FAILED and report.code in FATAL:
                 return report
             snips.append(Snip(lease.now(), tuple(start), tuple(end), pose, report.code, report.message))  # type: ignore[arg-type]
@@ -141,12 +156,12 @@ class PlanningAgent:
         return MoveReport(MoveStatus.DONE)
 
     def _snip(self, lease: Lease, path: "Path", at: float, stretch: float, doing: str) -> Steps[tuple[MoveReport, Pose]]:
-        """One snip centred at arc length `at` [m]: go above, open, insert to the fixed depth, close, come back."""
-        config = self._config
+        """One snip centred at arc length `at` [m]: go above, open, insert to the depth of this pass, close, come back."""
+        config, depth = self._config, self._depth
         point, tangent, normal = path.frame_at(at, stretch)
-        pose = Pose.looking(point - config.depth * normal, -normal, tangent)
-        above = pose.moved((config.depth + config.clearance) * normal)
-        reach = BLADE - config.depth
+        pose = Pose.looking(point - depth * normal, -normal, tangent)
+        above = pose.moved((depth + config.clearance) * normal)
+        reach = BLADE - depth
         jaw = float(np.clip(2 * np.arctan((stretch + config.overlap) / 2 / reach), config.least_jaw, config.most_jaw))
         self.clear_view = False
         try:
@@ -265,6 +280,12 @@ class Path:
         if normal @ point > 0:
             normal = -normal
         return point, tangent, normal
+
+
+def _on_goal(goal: TrackedGoal, segment: Array) -> Array:
+    """A corrective `segment` (2, 2) pixels in goal coordinates, no longer than to the goal's ends: what lies beyond is to stay whole."""
+    coordinates = to_goal_coordinates(goal, segment)
+    return np.column_stack([np.clip(coordinates[:, 0], 0.0, 1.0), coordinates[:, 1]])
 
 
 def retraction_direction(away: Array, normal: Array, lift: float) -> Array:

@@ -22,12 +22,6 @@ class ElongationConfig:
     min_confidence: float = 0.2  # of both ends' tracks
     max_unknown: float = 0.25  # share of the edges across the goal
     steepness: float = 8.0  # of the probability around tau, per unit of log rho
-    min_gap: float = 1.0  # [px] of an opening seen along a severed edge, where that was looked at
-    # Ratio that an edge with a gap must have reached as well, since what is left of a half cut lets its lips part too; the same in the
-    # end zones of the goal, where even a complete cut opens little (below 1 a dark line is a fold); and their length, a share of the goal.
-    min_lengthening: float = 2.0
-    end_lengthening: float = 0.9
-    end_zone: float = 0.1
 
     def __post_init__(self) -> None:
         if not self.tau > 1:
@@ -39,7 +33,6 @@ def estimate_connectivity(
     reference: Array,
     tracks: Tracks,
     config: ElongationConfig | None = None,
-    gap: Array | None = None,
 ) -> ConnectivityGraph:
     """Judge each edge by rho = |k_i(te) - k_j(te)| / |k_i(td) - k_j(td)|; severed if rho >= tau.
 
@@ -48,37 +41,16 @@ def estimate_connectivity(
         reference: (N, 2) pixels of the keypoints at t_d.
         tracks: the same keypoints at t_e. Hidden, lost or doubtful ends make an edge unknown, never severed.
         config: threshold and what counts.
-        gap: (E,) width [px] of the opening seen along each edge (`GapWatch`), or None. With it, an edge across the goal is severed
-            if and only if an opening was seen along it: what became long but shows tissue all along is a stretched attachment, and a
-            slit at the goal's end, where even a complete cut opens little, is severed below tau.
     """
     config = config or ElongationConfig()
-    before, after = lengths(reference, grid.edges), lengths(tracks.points, grid.edges)
-    # A cut that is open already at t_d has been stretched before the reference was taken: its edges count from the closed cut.
-    before = np.where(grid.crosses_goal, np.minimum(before, grid.closed_length), before)
-    trusted = tracks.visible & (tracks.confidence >= config.min_confidence) & np.isfinite(tracks.points).all(axis=1)
-    known = trusted[grid.edges].all(axis=1) & (before > 1e-6) & np.isfinite(after)
-    rho = np.where(known, after / np.where(known, before, 1.0), np.nan)
+    rho, known = lengthening(grid, reference, tracks, config.min_confidence)
     ratio = np.where(known, rho, config.tau)
     severed = known & (ratio >= config.tau)
     # Smooth and monotone in rho, one half at tau and for what is unknown.
     logit = config.steepness * np.log(np.maximum(ratio, 1e-6) / config.tau)
-    if gap is not None:
-        # What was seen to part does not heal, so its ends may be hidden by now.
-        seen_parted = grid.crosses_goal & (np.nan_to_num(gap) >= config.min_gap)
-        inner = np.abs(np.nan_to_num(grid.station, nan=0.5) - 0.5) <= 0.5 - config.end_zone
-        needed = np.where(inner, config.min_lengthening, config.end_lengthening)
-        reached = np.where(known, ratio, 1.0 + np.nan_to_num(gap) / grid.closed_length)
-        parted = seen_parted & (reached >= needed)
-        looked = grid.crosses_goal & ((known & np.isfinite(gap)) | parted)
-        severed = np.where(grid.crosses_goal, parted, severed)
-        known = np.where(grid.crosses_goal, looked, known)
-        # One e-fold for each half pixel beyond the least gap; what is too short to have parted is connected all the same.
-        seen = 2.0 * (np.nan_to_num(gap) - config.min_gap)
-        logit = np.where(looked, np.where(parted, np.abs(seen), -np.abs(seen)), logit)
     probability = 1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0)))
     state = np.where(severed, EdgeState.SEVERED, np.where(known, EdgeState.CONNECTED, EdgeState.UNKNOWN)).astype(np.int64)
-    code, message = _verdict(state[grid.crosses_goal], config)
+    code, message = verdict(state[grid.crosses_goal], config.max_unknown)
     return ConnectivityGraph(
         code=code,
         message=message,
@@ -91,6 +63,16 @@ def estimate_connectivity(
         crosses_goal=grid.crosses_goal,
         station=grid.station,
     )
+
+
+def lengthening(grid: Grid, reference: Array, tracks: Tracks, min_confidence: float) -> tuple[Array, NDArray[np.bool_]]:
+    """The ratio rho (E,) of each edge since t_d, nan where it is not known, and where (E,) it is: both ends seen, with confidence."""
+    before, after = lengths(reference, grid.edges), lengths(tracks.points, grid.edges)
+    # A cut that is open already at t_d has been stretched before the reference was taken: its edges count from the closed cut.
+    before = np.where(grid.crosses_goal, np.minimum(before, grid.closed_length), before)
+    trusted = tracks.visible & (tracks.confidence >= min_confidence) & np.isfinite(tracks.points).all(axis=1)
+    known = trusted[grid.edges].all(axis=1) & (before > 1e-6) & np.isfinite(after)
+    return np.where(known, after / np.where(known, before, 1.0), np.nan), known
 
 
 def attachments(graph: ConnectivityGraph) -> list[tuple[float, float]]:
@@ -115,17 +97,17 @@ def attachments(graph: ConnectivityGraph) -> list[tuple[float, float]]:
     return runs
 
 
-def _verdict(crossing: NDArray[np.int64], config: ElongationConfig) -> tuple[Code, str]:
+def verdict(crossing: NDArray[np.int64], max_unknown: float) -> tuple[Code, str]:
     """Code and sentence for the states of the edges that cross the goal."""
     total = len(crossing)
     connected, unknown = int((crossing == EdgeState.CONNECTED).sum()), int((crossing == EdgeState.UNKNOWN).sum())
     if not total:
         return Code.TOO_MANY_UNKNOWN, "No edge of the grid crosses the goal, so nothing can be said about it."
-    if unknown > config.max_unknown * total:
+    if unknown > max_unknown * total:
         return (
             Code.TOO_MANY_UNKNOWN,
             f"{unknown} of {total} edges across the goal could not be seen well enough; "
-            f"at most {config.max_unknown:.0%} may be unknown.",
+            f"at most {max_unknown:.0%} may be unknown.",
         )
     if not connected and not unknown:
         return Code.OK, f"All {total} edges across the goal are severed."

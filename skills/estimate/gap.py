@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from hardware.interface import Array, Image
 
+LEVEL_WINDOW = 7  # edges, of the running median of how bright the tissue at their ends was at t_d
+STILL_AS_BRIGHT = 0.8  # of that, times what became of the light: what is darker has come to lie in the opening
+
 
 @dataclass(frozen=True)
 class GapConfig:
@@ -31,6 +34,7 @@ class GapConfig:
     dark: float = 0.65  # below this it is an opening whatever was there before
     faint: float = 0.94  # below this it is one where the tissue was evenly bright before
     fainter: float = 0.92  # of the darkest place that was there before
+    bed: float = 0.62  # below this it is the bed: it was at 0.5 or less, cut faces and floors of grooves at 0.77 or more
 
 
 def gap_along(
@@ -39,34 +43,24 @@ def gap_along(
     edges: NDArray[np.int64],
     config: GapConfig | None = None,
     darkest_before: Array | None = None,
+    least_level: Array | None = None,
 ) -> Array:
     """Width (E,) [px] of the longest dark run along each edge between `points` (N, 2) on `image` (H, W, 3) uint8 RGB.
 
-    nan where an end is not on the image. `darkest_before` (E,) from `darkest_along` at t_d lets faint slits count too.
+    nan where an end is not on the image. `darkest_before` (E,) from `darkest_along` at t_d lets faint slits count too. `least_level` (E,)
+    [grey levels] is how bright tissue is there at least: where an end itself has come to lie in the opening, it does not tell.
     """
     config = config or GapConfig()
-    inside, rows, length = _profiles(image, points, edges, config)
-    limit = np.full(len(edges), config.dark)
-    if darkest_before is not None:
-        known = np.nan_to_num(darkest_before, nan=0.0)
-        limit = np.maximum(limit, np.minimum(config.faint, config.fainter * known))
-    widths = np.full(len(edges), np.nan)
-    if inside.any():
-        widths[inside] = _longest_run(rows < limit[inside, None]) / rows.shape[1] * length[inside]
-    return widths
+    return _openings(_profiles(_brightness(image), points, edges, config), config, darkest_before, least_level)[0]
 
 
 def darkest_along(image: Image, points: Array, edges: NDArray[np.int64], config: GapConfig | None = None) -> Array:
     """Brightness (E,) of the darkest place along each edge, as a share of that at its ends; nan where an end is not on the image."""
-    inside, rows, _ = _profiles(image, points, edges, config or GapConfig())
-    darkest = np.full(len(edges), np.nan)
-    if inside.any():
-        darkest[inside] = rows.min(axis=1)
-    return darkest
+    return _darkest(_profiles(_brightness(image), points, edges, config or GapConfig()))
 
 
 class GapWatch:
-    """The widest opening seen along each edge across the goal since t_d, in two looks in a row: what has parted does not heal.
+    """The widest opening seen along each edge since t_d, in two looks in a row: what has parted does not heal.
 
     A slit may be open at t_d and close again while the tissue beside it is pulled; only somebody who looked all the time knows.
     """
@@ -79,64 +73,149 @@ class GapWatch:
         crosses_goal: NDArray[np.bool_],
         between: tuple[float, ...] = (),
     ) -> None:
-        """`between` are places beside each edge, in spacings towards the next one, that must be open too: strands are thinner than that."""
+        """`between` are places beside each edge across the goal, in spacings towards the next one, that must be open too.
+
+        Strands are thinner than the grid. The edges across the goal come in order along it.
+        """
         self._edges = edges
-        self._between = between
-        self._crossing = np.flatnonzero(crosses_goal)
         self._config = GapConfig()
-        self._darkest = darkest_along(image, points, edges[self._crossing], self._config)
-        self._last = np.full(len(self._crossing), np.nan)
-        self._widest = np.full(len(self._crossing), np.nan)
+        crossing = np.flatnonzero(crosses_goal)
+        # Apart from each other, since those across the goal become long: a profile has as many samples as the longest one needs.
+        places = ((0.0, np.flatnonzero(~crosses_goal)), *((place, crossing) for place in (0.0, *between)))
+        self._places = [(place, which) for place, which in places if len(which)]
+        brightness = _brightness(image)
+        profiles = [_profiles(brightness, *self._lines(points, *where), self._config) for where in self._places]
+        self._darkest = [_darkest(profile) for profile in profiles]
+        # A highlight on one end is not how bright the tissue is there: its neighbours have a say.
+        self._levels = [_running_median(profile.level, LEVEL_WINDOW) for profile in profiles]
+        self._last = np.full((2, len(edges)), np.nan)
+        self._widest = self._last.copy()
         self.look(image, points, np.ones(len(points), dtype=bool))
 
-    def look(self, image: Image, points: Array, seen: NDArray[np.bool_]) -> None:
-        """Look at a new picture; edges with an end that is not `seen` (N,) are left out."""
-        edges = self._edges[self._crossing]
-        now = gap_along(image, points, edges, self._config, self._darkest)
-        for part in self._between:
-            now = np.minimum(now, self._beside(image, points, part))
-        now = np.where(seen[edges].all(axis=1), now, np.nan)
+    def look(self, image: Image, points: Array, seen: NDArray[np.bool_], hidden: NDArray[np.bool_] | None = None) -> None:
+        """Look at a new picture; edges with an end that is not `seen` (N,), or that pass what hides the tissue (H, W), are left out."""
+        now, brightness = np.full_like(self._last, np.inf), _brightness(image)
+        for (place, which), darkest, level in zip(self._places, self._darkest, self._levels, strict=True):
+            profiles = _profiles(brightness, *self._lines(points, place, which), self._config)
+            least = STILL_AS_BRIGHT * level * _typical(profiles.level / np.maximum(level, 1.0))
+            now[:, which] = np.minimum(now[:, which], _openings(profiles, self._config, darkest, least))
+        free = seen[self._edges].all(axis=1)
+        if hidden is not None:
+            free &= ~_pass_under(hidden, points[self._edges])
+        now = np.where(free, now, np.nan)
         self._widest = np.fmax(self._widest, np.minimum(now, self._last))
         self._last = now
 
-    def _beside(self, image: Image, points: Array, part: float) -> Array:
-        """The opening (C,) on a line beside each edge, `part` of the way to the next one (below 0: to the one before)."""
-        edges = self._edges[self._crossing]
-        ends = points[edges]
-        other = np.roll(ends, -1 if part > 0 else 1, axis=0)
-        other[-1 if part > 0 else 0] = ends[-1 if part > 0 else 0]
-        lines = ends + abs(part) * (other - ends)
-        pairs = np.arange(2 * len(lines)).reshape(-1, 2)
-        return gap_along(image, lines.reshape(-1, 2), pairs, self._config, self._darkest)
+    def _lines(self, points: Array, place: float, which: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+        """Ends (2 C, 2) and pairs (C, 2) of lines beside the edges `which` (C,), `place` of the way to the next (below 0: the last) one."""
+        ends = points[self._edges[which]]
+        if place and len(ends):
+            beside = np.clip(np.arange(len(ends)) + (1 if place > 0 else -1), 0, len(ends) - 1)
+            ends = ends + abs(place) * (ends[beside] - ends)
+        return ends.reshape(-1, 2), np.arange(2 * len(ends)).reshape(-1, 2)
 
-    def widest(self) -> Array:
-        """Width (E,) [px] of the widest opening so far; nan where none could be looked for, and on edges that do not cross the goal."""
-        widths = np.full(len(self._edges), np.nan)
-        widths[self._crossing] = self._widest
-        return widths
+    def parted(self) -> Array:
+        """Width (E,) [px] of the widest opening so far; nan where none could be looked for."""
+        return self._widest[0].copy()
+
+    def bed(self) -> Array:
+        """Width (E,) [px] of the bed seen through the widest opening so far; nan as in `parted`."""
+        return self._widest[1].copy()
+
+    def decided(self) -> Array:
+        """Width (E,) [px] of the openings that tell for certain: 0 where nothing opened, that of the bed where it is seen.
+
+        nan in between, as where nobody could look: an opening that does not show the bed may be a groove.
+        """
+        parted, bed = self._widest
+        return np.where(bed > 0.0, bed, np.where(parted > 0.0, np.nan, parted))
 
 
-def _profiles(image: Image, points: Array, edges: NDArray[np.int64], config: GapConfig) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Which edges (E,) lie on the image, their brightness (E', T) relative to their own ends, since light falls off, and lengths (E,)."""
-    height, width = image.shape[:2]
+@dataclass(frozen=True)
+class _Profiles:
+    """`inside` (E,) edges that lie on the image, brightness `rows` (E', T) along those, and at the darker end `level` (E,), nan outside.
+
+    The darker end tells what tissue is there, since light falls off. `length` (E,) [px].
+    """
+
+    inside: NDArray[np.bool_]
+    rows: NDArray[np.float32]
+    level: Array
+    length: Array
+
+
+def _brightness(image: Image) -> NDArray[np.uint8]:
+    """Largest channel (H, W) of `image`: cut faces are coloured, but not as bright as the outer surface in any channel."""
+    red, green, blue = cv2.split(image)
+    return np.asarray(cv2.GaussianBlur(cv2.max(cv2.max(red, green), blue), (3, 3), 0), dtype=np.uint8)
+
+
+def _profiles(brightness: NDArray[np.uint8], points: Array, edges: NDArray[np.int64], config: GapConfig) -> _Profiles:
+    height, width = brightness.shape
     a, b = points[edges[:, 0]], points[edges[:, 1]]
-    inside: NDArray[np.bool_] = np.ones(len(edges), dtype=bool)
-    for end in (a, b):
-        with np.errstate(invalid="ignore"):
-            inside &= np.asarray(((end >= 0) & (end <= (width - 1, height - 1))).all(axis=1))
-    length = np.linalg.norm(b - a, axis=1)
+    with np.errstate(invalid="ignore"):
+        ends = np.concatenate([a, b], axis=1)
+        inside = np.asarray(((ends >= 0) & (ends <= (width - 1, height - 1, width - 1, height - 1))).all(axis=1))
+    length, level = np.linalg.norm(b - a, axis=1), np.full(len(edges), np.nan)
     if not inside.any():
-        return inside, np.zeros((0, 0)), length
-    # The largest channel: cut faces are coloured, but not as bright as the outer surface in any channel.
-    brightness = cv2.GaussianBlur(image.max(axis=2), (3, 3), 0)
+        return _Profiles(inside, np.zeros((0, 0), np.float32), level, length)
     count = max(config.least_samples, int(np.ceil(length[inside].max() / config.sample)))
     t = (np.arange(count) + 0.5) / count
     at = (a[inside][:, None] + t[None, :, None] * (b - a)[inside][:, None]).astype(np.float32)
-    rows = cv2.remap(brightness.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(np.float64)
+    rows = np.asarray(cv2.remap(brightness, at[..., 0], at[..., 1], cv2.INTER_LINEAR), dtype=np.float32)
     reach = np.minimum(config.end, config.longest_end / np.maximum(length[inside], 1e-9))[:, None]
-    tissue = [np.where(near <= np.maximum(reach, t[0]), rows, np.nan) for near in (t[None], 1.0 - t[None])]
-    level = np.minimum(*(np.nanmedian(part, axis=1) for part in tissue))
-    return inside, rows / np.maximum(level, 1.0)[:, None], length
+    # Sorted with what is beyond the reach behind everything else, the median of an end is its middle value.
+    count_in = np.maximum((t[None] <= np.maximum(reach, t[0])).sum(axis=1), 1)
+    level[inside] = np.minimum(_median_of_first(rows, count_in), _median_of_first(rows[:, ::-1], count_in))
+    return _Profiles(inside, rows, level, length)
+
+
+def _median_of_first(rows: NDArray[np.float32], count: NDArray[np.int64]) -> Array:
+    """Median (E,) of the first `count` (E,) values of each row (E, T)."""
+    most = int(count.max())
+    masked = np.where(np.arange(most)[None] < count[:, None], rows[:, :most], np.inf)
+    ordered, rank = np.sort(masked, axis=1), np.arange(len(rows))
+    return np.asarray((ordered[rank, (count - 1) // 2] + ordered[rank, count // 2]) / 2.0, dtype=np.float64)
+
+
+def _openings(
+    profiles: _Profiles, config: GapConfig, darkest_before: Array | None, least_level: Array | None
+) -> tuple[Array, Array]:
+    """Widths (E,) [px] of the longest run that is darker than tissue, and of the longest as dark as the bed.
+
+    What has parted may be a groove, with cut faces to both sides and what is left of the tissue as its floor; the bed is seen only through
+    an opening.
+    """
+    inside, rows = profiles.inside, profiles.rows
+    level = profiles.level if least_level is None else np.fmax(profiles.level, least_level)
+    limit = np.full(len(inside), config.dark)
+    if darkest_before is not None:
+        known = np.nan_to_num(darkest_before, nan=0.0)
+        limit = np.maximum(limit, np.minimum(config.faint, config.fainter * known))
+    parted, bed = np.full(len(inside), np.nan), np.full(len(inside), np.nan)
+    if inside.any():
+        floor = np.maximum(level, 1.0)[inside, None]
+        pixels = profiles.length[inside] / rows.shape[1]
+        parted[inside] = _longest_run(rows < limit[inside, None] * floor) * pixels
+        bed[inside] = _longest_run(rows < config.bed * floor) * pixels
+    return parted, bed
+
+
+def _darkest(profiles: _Profiles) -> Array:
+    darkest = np.full(len(profiles.inside), np.nan)
+    if profiles.inside.any():
+        darkest[profiles.inside] = profiles.rows.min(axis=1) / np.maximum(profiles.level[profiles.inside], 1.0)
+    return darkest
+
+
+def _pass_under(mask: NDArray[np.bool_], ends: Array) -> NDArray[np.bool_]:
+    """Which lines (E,) between `ends` (E, 2, 2) meet the `mask` (H, W), looked at in 32 places."""
+    t = np.linspace(0.0, 1.0, 32)[None, :, None]
+    with np.errstate(invalid="ignore"):
+        at = np.rint(np.nan_to_num(ends[:, :1] + t * (ends[:, 1:] - ends[:, :1]), nan=-1.0)).astype(np.int64)
+    height, width = mask.shape
+    inside = ((at >= 0) & (at < (width, height))).all(axis=2)
+    return np.asarray((inside & mask[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]).any(axis=1))
 
 
 def _longest_run(dark: NDArray[np.bool_]) -> Array:
@@ -147,3 +226,20 @@ def _longest_run(dark: NDArray[np.bool_]) -> Array:
         run = np.where(column, run + 1.0, 0.0)
         longest = np.maximum(longest, run)
     return longest
+
+
+def _running_median(values: Array, window: int) -> Array:
+    """Median (E,) over the `window` values around each one, nan left out."""
+    half = window // 2
+    padded = np.pad(values, half, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    known = np.isfinite(windows).any(axis=1)
+    medians = np.full(len(values), np.nan)
+    medians[known] = np.nanmedian(windows[known], axis=1)
+    return medians
+
+
+def _typical(values: Array) -> float:
+    """Their median; nan when none is known."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")

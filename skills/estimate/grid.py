@@ -1,13 +1,15 @@
 """The keypoint grid around the tracked goal and its edges (paper, Sec. Tissue Connectivity Estimation).
 
 Stations run along the goal, rows across it; no row lies on the goal line, where the cut leaves no tissue to follow. Rows are laid
-out from the two lips of the cut, so that an opening that is already there when the grid is made holds no keypoints.
+out from the two lips of the cut, and moved outwards where no tissue is seen, so that an opening that is already there when the grid is
+made holds no keypoints: one that follows the bed through the opening would say nothing about the tissue.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +25,9 @@ class GridConfig:
     station_spacing: float = 8.0  # along the goal
     row_spacing: float = 14.0  # across it; rows at +-0.5, 1.5, 2.5 ... of this from the (closed) goal line
     rows_per_side: int = 3
-    end_inset: float = 12.0  # of the first and last station from the goal's ends, where a complete cut opens little
+    end_inset: float = 6.0  # of the first and last station from the goal's ends, where a complete cut opens little
+    rim: int = 5  # from the border of an opening that a keypoint keeps: what is nearer shows bed in its patch
+    farthest: int = 60  # that keypoints are moved outwards from an opening
 
     def __post_init__(self) -> None:
         if not (self.station_spacing > 0 and self.row_spacing > 0 and self.rows_per_side >= 1 and self.end_inset >= 0):
@@ -48,8 +52,13 @@ class Grid:
     closed_length: float
 
 
-def grid_around(tracked: TrackedGoal, row_offset: float, config: GridConfig | None = None) -> Grid:
-    """Lay the grid around `tracked`, whose near and far rows follow tissue `row_offset` [px] away from the goal line."""
+def grid_around(
+    tracked: TrackedGoal, row_offset: float, config: GridConfig | None = None, tissue: NDArray[np.bool_] | None = None
+) -> Grid:
+    """Lay the grid around `tracked`, whose near and far rows follow tissue `row_offset` [px] away from the goal line.
+
+    With `tissue` (H, W), where tissue is seen, no keypoint lies in an opening: the rows of its side begin beyond it at that station.
+    """
     config = config or GridConfig()
     stations, spacing = _stations(tracked.polyline, config)
     offsets = (np.arange(config.rows_per_side) + 0.5) * config.row_spacing - row_offset
@@ -59,10 +68,13 @@ def grid_around(tracked: TrackedGoal, row_offset: float, config: GridConfig | No
     to_near = normals if ((tracked.near - tracked.far) * normals).sum() >= 0 else -normals
     outward = _at_stations(to_near, stations)
     outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
-    blocks = [
-        _at_stations(row, stations)[None] + sign * offsets[:, None, None] * outward[None]
-        for row, sign in ((tracked.near, 1.0), (tracked.far, -1.0))
-    ]
+    rim = np.ones((2 * config.rim + 1, 2 * config.rim + 1), np.uint8)
+    solid = None if tissue is None else np.asarray(cv2.erode(tissue.astype(np.uint8), rim), dtype=np.uint8)
+    blocks = []
+    for row, away in ((tracked.near, outward), (tracked.far, -outward)):
+        block = _at_stations(row, stations)[None] + offsets[:, None, None] * away[None]
+        moved = 0.0 if solid is None else _to_tissue(block[0], away, solid, config.farthest)[None, :, None] * away[None]
+        blocks.append(block + moved)
     # Rows in order across the goal: outermost near ... innermost near | innermost far ... outermost far.
     points = np.concatenate([blocks[0][::-1], blocks[1]]).reshape(-1, 2)
     index = np.arange(rows * count).reshape(rows, count)
@@ -99,3 +111,13 @@ def _at_stations(row: Array, stations: Array) -> Array:
     """Read a tracked row (M, 2) at `stations` (S,), fractions of its index, which goes with the tissue: (S, 2)."""
     index = np.linspace(0.0, 1.0, len(row))
     return np.column_stack([np.interp(stations, index, row[:, k]) for k in (0, 1)])
+
+
+def _to_tissue(points: Array, directions: Array, solid: NDArray[np.uint8], farthest: int) -> Array:
+    """How far (S,) [px] to go from `points` (S, 2) along unit `directions` (S, 2) to come to tissue; 0 where there is none that near."""
+    steps = np.arange(farthest + 1.0)
+    at = np.rint(points[:, None] + steps[None, :, None] * directions[:, None]).astype(np.int64)
+    height, width = solid.shape
+    inside = ((at >= 0) & (at < (width, height))).all(axis=2)
+    found = inside & (solid[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)] > 0)
+    return np.where(found.any(axis=1), steps[np.argmax(found, axis=1)], 0.0)

@@ -16,38 +16,40 @@ from numpy.typing import NDArray
 
 from hardware.codes import Code
 from hardware.gate import Lease
-from hardware.interface import CUTTER, GRASPER, Array, CameraModel, StereoFrame
+from hardware.interface import CUTTER, Array, CameraModel
 from skills.estimate.grid import Grid
-from skills.expose.hypotheses import DECIDED, Hypotheses, SeparationConfig, Stretch
-from skills.expose.model import ModelConfig, TissueModel, build_model
+from skills.expose.expected import (
+    MEMBRANE,
+    PLATE,
+    Expected,
+    Sight,
+    SightConfig,
+    expected_of,
+    no_model,
+    sight,
+    tissue_seen,
+)
+from skills.expose.hypotheses import DECIDED, SeparationConfig
+from skills.expose.model import ModelConfig, TissueModel
 from skills.expose.outcome import ExposeOutcome, Forecast, Planned
 from skills.expose.planner import Limits, Plan, Planner, PlannerConfig, Situation
 from skills.expose.pull import Stop
 from skills.expose.region import region_around
 from skills.expose.straight import goal_normal
-from skills.expose.xpbd import State, XpbdConfig, XpbdSolver, rest_state
 from skills.grasp import Grasped
-from skills.scene.stereo import DepthMap, StereoConfig, depth_from_stereo
-from skills.scene.stereo import region_around as image_region
-from skills.scene.surface import Surface, SurfaceConfig, reconstruct
-from skills.scene.tissue import TissueConfig, tissue_mask, tool_mask
+from skills.scene.stereo import DepthMap, StereoConfig
+from skills.scene.surface import Surface, SurfaceConfig
+from skills.scene.tissue import TissueConfig
 from skills.skill import Progress, Steps, computed
 from skills.tracking.tracks import TrackedGoal
 
 MARGIN = 0.5e-3  # [m] that a plan stays inside the gate's workspace and farther from the other tool
 HEADROOM = 1.1  # what a plan may use of the budget of strain: kept to just that, the pull would creep towards it for ever
-LEAST_PULL = 0.5e-3  # [m] below which the force says nothing about the tissue
-MEMBRANE = ModelConfig()
-PLATE = ModelConfig(stretch=1000.0, bending=2e-4, free_adhesion=2e6, adhesion_limit=2e-3)
 
 
 @dataclass(frozen=True)
 class OptimalConfig:
-    """Settings of the controller.
-
-    `tissues` are what the tissue may be like: a soft sheet over a prepared plane, or a thick flap that still sticks to its bed. The force
-    that the grasp met so far chooses between them, since a membrane can be pulled back in its plane and a plate cannot.
-    """
+    """Settings of the controller; `surface`, `tissues` and `margin` as in `SightConfig`."""
 
     surface: SurfaceConfig = field(default_factory=SurfaceConfig)
     tissues: tuple[ModelConfig, ...] = (MEMBRANE, PLATE)
@@ -106,7 +108,7 @@ class SteeringOptimal:
         self._tissue = tissue
         self._executor = executor
         self._rng = rng
-        self._gaps = gaps  # widest openings (E,) [px] seen along the grid's edges since t_d
+        self._gaps = gaps  # openings (E,) [px] along the grid's edges since t_d, nan undecided (`GapWatch.decided`)
         self._run: _Run | None = None
         self.view: View | None = None
 
@@ -114,12 +116,7 @@ class SteeringOptimal:
         """Reconstruct the surface and build the model on it."""
         yield Progress("looking")
         self._run, self.view = None, None
-        grasp = lease.measured_cp(GRASPER).value.position
-        tension = lease.tension()
-        pulled = Pulled(lease.setpoint_cp(GRASPER).position - grasped.origin.position, tension)
-        if float(np.linalg.norm(pulled.displacement)) < grasped.test_pull:
-            pulled = Pulled(grasped.test_pull * grasped.normal, grasped.test_tension)
-        pair, camera = lease.endoscope.stereo(), lease.endoscope.camera
+        seen = sight(lease, goal, grid, grasped)
         limits = lease.limits
         bounds = Limits(
             np.array(limits.workspace_lower) + MARGIN,
@@ -127,9 +124,7 @@ class SteeringOptimal:
             self._config.tension_budget * limits.tension_stop,
             HEADROOM * self._config.strain_budget if self._config.stop_early else math.inf,
         )
-        made = yield from computed(
-            self._executor, "building the tissue model", self._build, pair, camera, goal, grid, grasp, pulled, tension, bounds
-        )
+        made = yield from computed(self._executor, "building the tissue model", self._build, seen, bounds)
         if isinstance(made, Stop):
             return made
         self._run = made
@@ -150,89 +145,50 @@ class SteeringOptimal:
             return Stop(Code.OK if number > 1 else plan.code, plan.message, plan.code)
         return plan.step
 
+    def forecast(self) -> Forecast | None:
+        """What was expected so far."""
+        return None if self._run is None else self._run.expected.forecast()
+
     def report(self, outcome: ExposeOutcome) -> ExposeOutcome:
         """Add what was expected."""
-        run, self._run = self._run, None
-        return outcome if run is None else run.report(outcome)
+        return outcome if self._run is None else self._run.report(outcome)
 
-    def _build(
-        self,
-        pair: StereoFrame,
-        camera: CameraModel,
-        goal: TrackedGoal,
-        grid: Grid,
-        grasp: Array,
-        pulled: Pulled,
-        tension: float,
-        limits: Limits,
-    ) -> _Run | Stop:
-        config = self._config
-        pixel = camera.project(grasp[None])[0]
-        box = image_region(np.vstack([goal.near, goal.far, pixel]), config.margin, (camera.width, camera.height))
-        depth = depth_from_stereo(pair, camera, self._stereo, box)
-        image = pair.left.image
-        tissue, tools = tissue_mask(image, self._tissue), tool_mask(image, self._tissue)
-        seen = reconstruct(depth, camera, tissue, tools, goal.polyline, pixel, config.surface)
-        if seen.surface is None:
-            return Stop(seen.code, seen.message, seen.code)
-        surface = seen.surface
+    def _build(self, seen: Sight, limits: Limits) -> _Run | Stop:
+        config, planning = self._config, self._config.planner
+        tissue = tissue_seen(seen, sight_config(config, self._stereo, self._tissue))
+        if isinstance(tissue, Stop):
+            return tissue
+        expected = expected_of(tissue, seen, config.separation, planning.xpbd)
+        if isinstance(expected, Stop):
+            return expected
+        surface, model, camera = tissue.surface, tissue.model, seen.camera
         try:
-            models = [build_model(surface, grasp, tissue) for tissue in config.tissues]
-            region = region_around(goal.polyline, grasp, surface, camera, config.planner.region)
-            model = likeliest(models, pulled, config.planner.xpbd)
-            planner = Planner(model, surface, region, camera, limits, config.planner, self._rng, config.device, config.threads)
-            hypotheses = Hypotheses(model, surface, grid, camera, config.separation, config.planner.xpbd, "cpu")
+            region = region_around(seen.goal.polyline, seen.grasp, surface, camera, planning.region)
+            planner = Planner(model, surface, region, camera, limits, planning, self._rng, config.device, config.threads)
         except ValueError as error:
-            # A grasp off the surface, a goal too short for the lattice, a region all hidden: the picture does not carry a model.
-            return Stop(Code.SURFACE_INVALID, f"no tissue model can be built on the surface seen: {error}", Code.SURFACE_INVALID)
-        planner.begin(_first_guess(goal, depth, camera, surface))
-        preload = tension if math.isfinite(tension) else 0.0
-        return _Run(config, model, planner, hypotheses, preload)
+            return no_model(error)
+        planner.begin(_first_guess(seen.goal, tissue.depth, camera, surface))
+        preload = seen.tension if math.isfinite(seen.tension) else 0.0
+        return _Run(config, model, planner, expected, preload)
 
 
-@dataclass(frozen=True)
-class Pulled:
-    """A pull that was made: its displacement (3,) [m] from where the jaws closed, and the tension [N] that it met."""
-
-    displacement: Array
-    tension: float
-
-
-def likeliest(models: list[TissueModel], pulled: Pulled, config: XpbdConfig) -> TissueModel:
-    """The model whose tension after the same pull comes nearest, as a ratio; the first one if nothing was pulled or nothing is known.
-
-    Each is tried with the goal severed and connected, since that is not known.
-    """
-    length = float(np.linalg.norm(pulled.displacement))
-    if len(models) == 1 or length < LEAST_PULL or not pulled.tension > 0.0:
-        return models[0]
-    steps = max(1, round(length / LEAST_PULL))
-    misfits = []
-    for model in models:
-        state = rest_state(model)
-        joined = np.repeat(np.array([[0.0], [1.0]], np.float32), len(model.seams), axis=1)
-        both = State(np.repeat(state.positions, 2, axis=0), np.repeat(state.adhesion, 2, axis=0), joined)
-        pull = np.broadcast_to(pulled.displacement / steps, (2, steps, 3))
-        tension = XpbdSolver(model, 2, steps, config, threads=1).rollout(both, pull).tension[-1]
-        misfits.append(abs(math.log(max(pulled.tension, 0.02) / max(float(np.sqrt(tension.prod())), 0.02))))
-    return models[int(np.argmin(misfits))]
+def sight_config(config: OptimalConfig, stereo: StereoConfig, tissue: TissueConfig) -> SightConfig:
+    """How the controller sees and models the tissue."""
+    return SightConfig(config.surface, config.tissues, stereo, tissue, config.planner.xpbd, config.margin)
 
 
 class _Run:
     """One exposure's model, plan and memory."""
 
-    def __init__(
-        self, config: OptimalConfig, model: TissueModel, planner: Planner, hypotheses: Hypotheses, preload: float
-    ) -> None:
+    def __init__(self, config: OptimalConfig, model: TissueModel, planner: Planner, expected: Expected, preload: float) -> None:
         self._config = config
         self._model = model
         self._planner = planner
-        self._hypotheses = hypotheses
+        self.expected = expected
+        self._hypotheses = expected.hypotheses
         self._from: Array | None = None
         self._past = np.zeros((2, 3))
         self._plans: list[Plan] = []
-        self._stretches: list[Stretch] = []
-        self._separations: list[float] = []
         self._strains: list[float] = []
         self._preload = preload
         self._scale = 1.0
@@ -256,17 +212,11 @@ class _Run:
 
     def report(self, outcome: ExposeOutcome) -> ExposeOutcome:
         """The outcome with forecast and plans, one row for each step that was made."""
-        steps, edges = len(outcome.path), len(self._hypotheses.edges)
+        steps = len(outcome.path)
         # The last step made is taken into the model only when a further one is planned.
-        if steps and len(self._stretches) < steps and self._from is not None:
+        if steps and len(self.expected.stretches) < steps and self._from is not None:
             self._executed(outcome.path[-1] - self._from, float(outcome.tension[-1]), None)
         plans = self._plans[:steps]
-        forecast = Forecast(
-            self._hypotheses.edges,
-            np.array([s.severed for s in self._stretches[:steps]]).reshape(steps, edges),
-            np.array([s.connected for s in self._stretches[:steps]]).reshape(steps, edges),
-            np.array(self._separations[:steps]),
-        )
 
         def column(name: str) -> Array:
             return np.array([getattr(plan, name) for plan in plans])
@@ -280,27 +230,22 @@ class _Run:
             column("feasible"),
             column("agreement"),
         )
-        return replace(outcome, forecast=forecast, planned=planned)
+        return replace(outcome, forecast=self.expected.forecast(), planned=planned)
 
     def _executed(self, step: Array, tension: float, gaps: Array | None) -> None:
         """Pull the model along, compare the tension, and see whether the hypotheses are far enough apart."""
-        self._hypotheses.advance(step)
-        if gaps is not None:
-            self._hypotheses.see(gaps)
+        self.expected.executed(step, gaps)
         self._past = np.vstack([self._past[1:], step])
         expected = float(self._hypotheses.tension[self._config.planner.hypothesis])
         if math.isfinite(tension) and expected > 0.02:
             # The force sensor is noisy: the ratio follows slowly.
             self._scale += 0.3 * (float(np.clip((tension - self._preload) / expected, 0.3, 10.0)) - self._scale)
-        stretch = self._hypotheses.stretch()
-        self._stretches.append(stretch)
-        self._separations.append(self._hypotheses.separation(stretch))
         self._strains.append(float(self._hypotheses.strain[self._config.planner.hypothesis]))
         self.stop = self._decided()
 
     def _decided(self) -> Stop | None:
         """Stop when what matters is clear, or when it only gets worse."""
-        c, apart = self._config, self._separations
+        c, apart = self._config, self.expected.separations
         if len(apart) < c.least_steps:
             return None
         if apart[-1] >= c.separation.enough:
@@ -322,7 +267,7 @@ class _Run:
         state = self._hypotheses.one(self._config.planner.hypothesis)
         paths = np.concatenate([np.zeros((len(plan.samples), 1, 3)), np.cumsum(plan.samples, axis=1)], axis=1) + gripper
         way = np.vstack([np.zeros(3), np.cumsum(plan.nominal, axis=0)]) + gripper
-        apart = self._separations[-1] if self._separations else 0.0
+        apart = self.expected.separations[-1] if self.expected.separations else 0.0
         self.view = View(
             number,
             state.positions[0].astype(np.float64),

@@ -14,13 +14,15 @@ class Forecast:
     """How the model expects the edges of the keypoint grid to lengthen, if the goal is severed and if it is connected.
 
     `edges` (C,) index the grid's edges that cross the goal; `severed` and `connected` (S, C) are their expected elongation after
-    each step of the path, `connected` being that of a strand left alone where the edge is, which stretches most; `separation` (S,) in
-    standard deviations, that of the edge which is hardest to tell.
+    each step of the path, `connected` being that of a strand left alone where the edge is, which stretches most; `gap` (S, C) [px] is the
+    opening expected along a severed edge (below 0 its lips overlap); `separation` (S,) in standard deviations, that of the edge which is
+    hardest to tell.
     """
 
     edges: NDArray[np.int64]
     severed: Array
     connected: Array
+    gap: Array
     separation: Array
 
 
@@ -46,9 +48,8 @@ class Planned:
 class ExposeOutcome:
     """`code` OK when the tissue was pulled as far as planned or as far as a limit allows (then `stopped_by` says which).
 
-    `path` (S, 3) [m] are the gripper positions, `tension` (S,) [N], `strain` (S,) the strain seen by tracking (nan unknown).
-    `keyframes` are bench times [s] of the steps after which the keypoints are worth keeping for the estimate. `forecast` and
-    `planned` come from the controller alone.
+    `path` (S, 3) [m] are the gripper positions after each step, `tension` (S,) [N], `strain` (S,) the strain seen by tracking (nan
+    unknown), `stamps` (S,) [s] the bench's time. `forecast` comes from the tissue model, `planned` from the controller alone.
     """
 
     code: Code
@@ -57,6 +58,6 @@ class ExposeOutcome:
     path: Array
     tension: Array
     strain: Array
-    keyframes: tuple[float, ...] = ()
+    stamps: Array
     forecast: Forecast | None = None
     planned: Planned | None = None

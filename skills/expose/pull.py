@@ -13,7 +13,7 @@ from hardware.codes import Code
 from hardware.gate import Lease
 from hardware.interface import CUTTER, GRASPER, Array, MoveReport, MoveStatus, Pose
 from skills.estimate.grid import Grid
-from skills.expose.outcome import ExposeOutcome
+from skills.expose.outcome import ExposeOutcome, Forecast
 from skills.grasp import Grasped
 from skills.motion import pause, servo_line, wait
 from skills.skill import Steps
@@ -31,11 +31,10 @@ class PullConfig:
     settle: float = 0.3  # [s] before the reference and after the pull
     slip_drop: float = 0.6  # share of the greatest tension so far that is lost when the tissue has left the jaws
     slip_tension: float = 0.5  # [N] below this tension says nothing about slip
-    keyframe_every: int = 5  # steps
 
     def __post_init__(self) -> None:
         lengths = (self.step, self.speed, self.relaxed, self.settle, self.slip_tension)
-        if not all(value > 0 for value in lengths) or self.steps < 1 or self.keyframe_every < 1 or not 0 < self.slip_drop < 1:
+        if not all(value > 0 for value in lengths) or self.steps < 1 or not 0 < self.slip_drop < 1:
             raise ValueError("lengths, speeds, times and counts of a pull must be positive, and slip_drop a share")
 
 
@@ -59,6 +58,10 @@ class Steering(Protocol):
         """Displacement (3,) [m] of step `number` (from 1) of the jaws that are at `here` (3,) [m], or why there is none."""
         ...
 
+    def forecast(self) -> Forecast | None:
+        """What the steps of the newest run so far should have done to the edges; None where nothing is expected."""
+        ...
+
     def report(self, outcome: ExposeOutcome) -> ExposeOutcome:
         """Add to the outcome what only the steering knows."""
         ...
@@ -76,6 +79,10 @@ class Exposure:
         self.steps_done = 0  # of the newest run
         self.pulling = False  # between t_d and t_e
         self._begun = False  # whether the steering has looked at this run's tissue
+
+    def forecast(self) -> Forecast | None:
+        """What the newest pull so far should have done to the edges; None where nothing is expected."""
+        return self._steering.forecast() if self._begun else None
 
     def run(
         self,
@@ -100,7 +107,7 @@ class Exposure:
                 stop = Stop(Code.OK, f"pulled all {config.steps} steps", Code.EXPOSURE_STEPS_DONE)
             if stop.code is Code.OK:
                 yield from pause(lease, config.settle, "letting the tissue settle")
-            outcome = log.outcome(stop, config.keyframe_every)
+            outcome = log.outcome(stop)
             return self._steering.report(outcome) if self._begun else outcome
         finally:
             self.pulling = False
@@ -197,12 +204,11 @@ class _Log:
         greatest = max(self._tension)
         return greatest > config.slip_tension and self._tension[-1] < (1.0 - config.slip_drop) * greatest
 
-    def outcome(self, stop: Stop, keyframe_every: int) -> ExposeOutcome:
-        """Everything noted, with why it ended; the last step is always a keyframe."""
-        keyframes = tuple(self._stamps[::-1][::keyframe_every][::-1])
+    def outcome(self, stop: Stop) -> ExposeOutcome:
+        """Everything noted, with why it ended."""
         path = np.array(self._path).reshape(-1, 3)
-        tension, strain = np.array(self._tension), np.array(self._strain)
-        return ExposeOutcome(stop.code, stop.message, stop.stopped_by, path, tension, strain, keyframes)
+        tension, strain, stamps = np.array(self._tension), np.array(self._strain), np.array(self._stamps)
+        return ExposeOutcome(stop.code, stop.message, stop.stopped_by, path, tension, strain, stamps)
 
 
 def _failed(code: Code, message: str) -> Stop:

@@ -9,7 +9,7 @@ from hardware.codes import Code
 from hardware.gate import Lease
 from hardware.interface import GRASPER, Array, CameraModel
 from skills.estimate.grid import Grid
-from skills.expose.outcome import ExposeOutcome
+from skills.expose.outcome import ExposeOutcome, Forecast
 from skills.expose.pull import Stop
 from skills.grasp import Grasped
 from skills.scene.stereo import DepthMap, StereoConfig, depth_at, depth_from_stereo, region_around
@@ -58,6 +58,10 @@ class SteeringStraight:
         """The same step again."""
         yield from ()
         return self._step
+
+    def forecast(self) -> Forecast | None:
+        """Nothing is expected."""
+        return None
 
     def report(self, outcome: ExposeOutcome) -> ExposeOutcome:
         """Nothing to add."""

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array
-from skills.scene.polyline import arc_lengths
+from skills.replan.room import on_outline
 from skills.scene.segments import distances, touch
 from skills.tracking.tracks import TrackedGoal
 
 
 @dataclass(frozen=True)
 class ReplanConfig:
-    """The paper's parameters, and what keeps segments sensible. Lengths in pixels."""
+    """Which cover, the paper's parameters, what keeps segments sensible, and limits of the search. Lengths in pixels."""
 
+    cover: Literal["optimal", "greedy"] = "optimal"
     segment_length: float = 60.0  # ell, the longest cut that one command makes reliably
     reach: float = 12.0  # d_hat, of a candidate's centre from some uncut edge
     orientations: int = 6  # bins over [0, pi), the first along the goal
@@ -25,8 +27,18 @@ class ReplanConfig:
     trim: bool = True  # cut no further than the edges covered plus the margin; False keeps the paper's fixed length
     margin: float = 10.0  # past the outermost edges of a trimmed segment
     grasp_clearance: float = 20.0  # of a segment from the grasp, if it can be kept
+    corridor: float = 8.0  # to either side of the goal: cutting there is not cutting outside the goal
+    compare: bool = True  # count the greedy cover's segments too, which with many edges takes longer than the optimal cover
+    # Limits of the optimal cover's search, counts and no clock, so that one case has one answer.
+    max_rounds: int = 7  # of choosing edges that prove how many segments are needed
+    max_candidates: int = 100_000  # in one round
+    max_nodes: int = 2000  # of branch and bound in one integer programme
 
     def __post_init__(self) -> None:
+        if self.cover not in ("optimal", "greedy"):
+            raise ValueError(f"the cover must be optimal or greedy, not {self.cover}")
+        if min(self.corridor, self.grasp_clearance) < 0 or min(self.max_rounds, self.max_candidates, self.max_nodes) < 1:
+            raise ValueError("corridor and clearance must not be negative, and the limits of the search must be positive")
         if not (self.segment_length > 0 and self.reach > 0 and self.margin >= 0):
             raise ValueError("segment length and reach must be positive, the margin not negative")
         if min(self.orientations, self.centres_per_edge) < 1 or self.max_draws < self.centres_per_edge:
@@ -73,33 +85,6 @@ def candidates_around(
     return Candidates(segments[keep], angle[keep], distance[keep], clear[keep])
 
 
-def order_along(segments: Array, tracked: TrackedGoal) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Order `segments` (S, 2, 2) along the goal; also say which (S,) of the ordered ones to turn round for the least travel."""
-    lengths = arc_lengths(tracked.polyline)
-    line = np.stack([tracked.polyline[:-1], tracked.polyline[1:]], axis=1)
-    middles = segments.mean(axis=1)
-    piece = np.argmin(distances(middles, line), axis=1)
-    start, along = line[piece, 0], line[piece, 1] - line[piece, 0]
-    t = np.clip(((middles - start) * along).sum(1) / np.maximum((along**2).sum(1), 1e-12), 0.0, 1.0)
-    order = np.argsort(lengths[piece] + t * np.linalg.norm(along, axis=1), kind="stable")
-    ordered = segments[order]
-    # Dynamic programming over the two ways to cut each segment; ties fall to the goal's own direction.
-    forwards = ((ordered[:, 1] - ordered[:, 0]) * along[order]).sum(1) >= 0
-    ways = np.stack([ordered, ordered[:, ::-1]], axis=1)
-    cost = np.where(np.column_stack([forwards, ~forwards]), 0.0, 1e-6)
-    came: list[NDArray[np.int64]] = []
-    total = cost[0]
-    for k in range(1, len(ordered)):
-        travel = np.linalg.norm(ways[k][None, :, 0] - ways[k - 1][:, None, 1], axis=-1)
-        sums = total[:, None] + travel
-        came.append(np.argmin(sums, axis=0))
-        total = sums.min(axis=0) + cost[k]
-    turned = [int(np.argmin(total))]
-    for back in reversed(came):
-        turned.append(int(back[turned[-1]]))
-    return order, np.array(turned[::-1], dtype=bool)
-
-
 def _centres(edges: Array, config: ReplanConfig, rng: np.random.Generator) -> Array:
     """Centres (C, 2) within d_hat of the edges, and each edge's own middle, so that a short edge is never without one."""
     low, high = edges.min(axis=1) - config.reach, edges.max(axis=1) + config.reach
@@ -115,8 +100,5 @@ def _inside(segments: Array, outline: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which segments (S,) lie on the outline (H, W) at every sampled point."""
     longest = float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).max(initial=1.0))
     t = np.linspace(0.0, 1.0, int(np.ceil(longest / 2)) + 1)
-    at = np.rint(segments[:, None, 0] + t[None, :, None] * (segments[:, None, 1] - segments[:, None, 0])).astype(np.int64)
-    height, width = outline.shape
-    within = (at >= 0).all(axis=-1) & (at[..., 0] < width) & (at[..., 1] < height)
-    on = outline[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]
-    return np.asarray((within & on).all(axis=1))
+    points = segments[:, None, 0] + t[None, :, None] * (segments[:, None, 1] - segments[:, None, 0])
+    return np.asarray(on_outline(points, outline).all(axis=1))

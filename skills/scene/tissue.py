@@ -35,6 +35,8 @@ class TissueConfig:
     smallest_piece: int = 2000  # [px^2] of tissue
     smallest_tool: int = 300  # [px^2]
     tool_margin: int = 5  # [px] added around tools
+    glare: float = 230.0  # of the smallest channel, 0..255: the sensor is saturated, and nothing is seen of what lies below
+    glare_margin: int = 16  # [px] added around it: a highlight is soft at its border, and moves over the tissue
 
 
 def tissue_mask(image: Image, config: TissueConfig | None = None) -> Mask:
@@ -74,6 +76,18 @@ def tool_mask(image: Image, config: TissueConfig | None = None) -> Mask:
     reach = 2 * max(1, round(config.tool_margin / 2)) + 1
     grown = cv2.dilate(kept, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
     return _full_size(np.asarray(grown), image)
+
+
+def hidden_mask(image: Image, config: TissueConfig | None = None) -> Mask:
+    """What hides the tissue in `image` (H, W, 3) uint8 RGB: instruments, and highlights that saturate the sensor, (H, W) bool."""
+    config = config or TissueConfig()
+    red, green, blue = cv2.split(np.ascontiguousarray(image))
+    glare = (cv2.min(cv2.min(red, green), blue) >= config.glare).astype(np.uint8)
+    tools = tool_mask(image, config)
+    if not glare.any():
+        return tools
+    reach = 2 * config.glare_margin + 1
+    return np.asarray(tools | (cv2.dilate(glare, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0))
 
 
 def _measures(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:

@@ -7,14 +7,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.interface import Array, Frame
+from hardware.interface import Array, Frame, Image
 from skills.estimate.gap import GapWatch
 from skills.estimate.grid import Grid, GridConfig, grid_around
 from skills.scene.goal import Goal
 from skills.scene.polyline import arc_lengths, left_normals, resample, side_of
-from skills.scene.tissue import TissueConfig, tool_mask
-from skills.tracking.dis import TrackerConfig, TrackerDIS
+from skills.scene.tissue import TissueConfig, hidden_mask, tissue_mask
+from skills.tracking.dis import TrackerDIS
+from skills.tracking.relocate import RelocateConfig, relocate
 from skills.tracking.rows import RowConfig, smooth_row
+from skills.tracking.stepwise import TrackerConfig
+from skills.tracking.tracker import PointTracker
 from skills.tracking.tracks import TrackedGoal, Tracks
 
 NEAR, FAR = 0, 1  # groups of points that move together: the grasp's side of the goal and the other
@@ -31,18 +34,21 @@ class GoalTrackerConfig:
     grid: GridConfig = field(default_factory=GridConfig)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
     rows: RowConfig = field(default_factory=RowConfig)
+    relocate: RelocateConfig = field(default_factory=RelocateConfig)
     tissue: TissueConfig = field(default_factory=TissueConfig)
 
 
 class GoalTracker:
     """Call `start` once, `update` with each new frame, `mark_reference` right after a cut (t_d); from one thread."""
 
-    def __init__(self, config: GoalTrackerConfig | None = None) -> None:
+    def __init__(self, config: GoalTrackerConfig | None = None, tracker: PointTracker | None = None) -> None:
         self.config = config or GoalTrackerConfig()
-        self._tracker = TrackerDIS(self.config.tracker)
+        self._tracker = tracker or TrackerDIS(self.config.tracker)
         self._tracked: TrackedGoal | None = None
         self._grid: Grid | None = None
         self._gaps: GapWatch | None = None
+        self._lost_for = 0
+        self._known: dict[str, tuple[Image, TrackedGoal]] = {}  # pictures on which the goal was seen
 
     def start(self, frame: Frame, goal: Goal) -> TrackedGoal:
         """Begin to follow `goal`, drawn on `frame`; an older goal and its grid are forgotten."""
@@ -53,7 +59,9 @@ class GoalTracker:
         near, far = line + c.row_offset * towards_grasp, line - c.row_offset * towards_grasp
         self._grid, self._gaps = None, None
         self._begin(frame, near, far, goal.grasp, np.zeros((0, 2)), np.zeros(0, dtype=bool))
-        return self._read()
+        tracked = self._read()
+        self._lost_for, self._known = 0, {} if tracked.lost else {"drawn": (frame.image, tracked)}
+        return tracked
 
     def update(self, frame: Frame) -> TrackedGoal:
         """Follow the goal into `frame`.
@@ -62,11 +70,17 @@ class GoalTracker:
             RuntimeError: `start` was not called.
         """
         self._require_started()
-        self._tracker.update(frame, tool_mask(frame.image, self.config.tissue))
+        hidden = hidden_mask(frame.image, self.config.tissue)
+        self._tracker.update(frame, hidden)
         tracked = self._read()
+        self._lost_for = self._lost_for + 1 if tracked.lost else 0
+        if not tracked.lost:
+            self._known["newest"] = frame.image, tracked
+        elif self._lost_for >= self.config.relocate.patience:
+            tracked = self._relocated(frame, hidden) or tracked
         if self._gaps is not None:
             part = self._grid_part()
-            self._gaps.look(frame.image, self._beside_the_goal(part), part.visible)
+            self._gaps.look(frame.image, self._beside_the_goal(part), part.visible, hidden)
         return tracked
 
     def tracked(self) -> TrackedGoal:
@@ -80,9 +94,12 @@ class GoalTracker:
         the goal is lost, so is the grid: all its keypoints stay unseen.
         """
         tracked = self.update(frame)
-        self._grid = grid_around(tracked, self.config.row_offset, self.config.grid)
+        tissue = tissue_mask(frame.image, self.config.tissue) | hidden_mask(frame.image, self.config.tissue)
+        self._grid = grid_around(tracked, self.config.row_offset, self.config.grid, tissue)
         self._begin(frame, tracked.near, tracked.far, tracked.grasp, self._grid.points, self._grid.near_side)
         self._grid_valid = not tracked.lost
+        if not tracked.lost:
+            self._known["reference"] = frame.image, tracked
         self._gaps = GapWatch(frame.image, self._grid.points, self._grid.edges, self._grid.crosses_goal, self.config.between)
         self._read()
         return self._grid
@@ -91,9 +108,9 @@ class GoalTracker:
         """Give the keypoint grid of the newest reference; None before the first."""
         return self._grid
 
-    def gaps(self) -> Array | None:
-        """Give the widest opening (E,) [px] seen along each edge of the grid since t_d; None before the first reference."""
-        return None if self._gaps is None else self._gaps.widest()
+    def gaps(self) -> GapWatch | None:
+        """Give what opened along each edge of the grid since t_d; None before the first reference."""
+        return self._gaps
 
     def grid_tracks(self) -> tuple[Array, Tracks, Grid]:
         """Give the keypoints at t_d (N, 2), where they are now, and the grid.
@@ -110,9 +127,28 @@ class GoalTracker:
         count = len(near)
         points = np.vstack([near, far, grasp[None], grid])
         groups = np.concatenate([np.full(count, NEAR), np.full(count, FAR), [NEAR], np.where(grid_near, NEAR, FAR)])
-        self._tracker.start(frame, points, groups.astype(np.int64), tool_mask(frame.image, self.config.tissue))
+        self._tracker.start(frame, points, groups.astype(np.int64), hidden_mask(frame.image, self.config.tissue))
         self._laid = near.copy(), far.copy()
         self._grid_valid = True
+
+    def _relocated(self, frame: Frame, hidden: NDArray[np.bool_]) -> TrackedGoal | None:
+        """Search for both rows where the tissue may have sprung to, and follow them from there; None if they are not found.
+
+        Tissue that slipped from the jaws looks as it did before it was pulled, so older pictures are asked as well. The keypoints of an
+        older reference are lost by that: all of them stay unseen.
+        """
+        for image, seen in (self._known[name] for name in ("newest", "reference", "drawn") if name in self._known):
+            near, far = (relocate(image, frame.image, row, hidden, self.config.relocate) for row in (seen.near, seen.far))
+            if near is None or far is None:
+                continue
+            grasp = seen.grasp + np.median(near - seen.near, axis=0)
+            points, sides = (np.zeros((0, 2)), np.zeros(0, dtype=bool))
+            if self._grid is not None:
+                points, sides = self._grid.points, self._grid.near_side
+            self._begin(frame, near, far, grasp, points, sides)
+            self._grid_valid = False
+            return self._read()
+        return None
 
     def _read(self) -> TrackedGoal:
         """Make the goal from the tracker's points."""

@@ -1,4 +1,4 @@
-"""Small square patches of a grey picture around points: how alike two are, and where one is found again below the pixel."""
+"""Small square patches of a grey picture around points, and how alike two are."""
 
 from __future__ import annotations
 
@@ -44,33 +44,3 @@ def same(a: Patches, b: Patches, noise: float) -> Array:
     x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
     variances = (x**2).mean(axis=1) + (y**2).mean(axis=1) + 2 * noise**2
     return np.asarray(1.0 - ((x - y) ** 2).mean(axis=1) / variances)
-
-
-def align(gray: Image, templates: Patches, points: Array, steps: int, reach: float) -> Array:
-    """Shift each of `points` (N, 2) so that the picture fits its template (N, S, S) there, by at most `reach` [px].
-
-    Gauss-Newton on the brightness difference of the mean-free patches (Lucas and Kanade, inverse compositional: the gradients are
-    the template's, so all points of one step share a single read-out of the picture).
-    """
-    if not len(points):
-        return points.copy()
-    size = templates.shape[-1]
-    inner = slice(1, size - 1)
-    gu = (templates[:, inner, 2:] - templates[:, inner, :-2]) / 2
-    gv = (templates[:, 2:, inner] - templates[:, :-2, inner]) / 2
-    core = templates[:, inner, inner]
-    core = core - core.mean(axis=(1, 2), keepdims=True)
-    # A little damping keeps flat directions (an edge seen along itself) where the flow put them.
-    damping = 4.0 * core[0].size
-    uu, vv, uv = (gu * gu).sum((1, 2)) + damping, (gv * gv).sum((1, 2)) + damping, (gu * gv).sum((1, 2))
-    determinant = uu * vv - uv * uv
-    place = points.copy()
-    for _ in range(steps):
-        now = patches_at(gray, place, size // 2 - 1)
-        error = now - now.mean(axis=(1, 2), keepdims=True) - core
-        eu, ev = (error * gu).sum((1, 2)), (error * gv).sum((1, 2))
-        place = place - np.column_stack([(vv * eu - uv * ev) / determinant, (uu * ev - uv * eu) / determinant])
-        offset = place - points
-        length = np.linalg.norm(offset, axis=1, keepdims=True)
-        place = points + offset * np.minimum(1.0, reach / np.maximum(length, 1e-12))
-    return place

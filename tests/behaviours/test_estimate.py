@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from py_trees.common import Status
 
-from behaviours.board import ATTEMPT, ESTIMATE, INTERRUPTIONS, Attempt, Estimate, Step, read, result_of
+from behaviours.board import ATTEMPT, ESTIMATE, INTERRUPTIONS, LOOKED_AGAIN, Attempt, Estimate, Step, read, result_of
 from behaviours.estimate import EstimateConnectivity
 from hardware.codes import Code
 from skills.estimate.graph import EdgeState
@@ -36,6 +36,23 @@ def test_failure_carries_the_code_and_leaves_no_estimate() -> None:
     assert stage.tick(2) is Status.FAILURE
     result = read(result_of(Step.ESTIMATE))
     assert result is not None and result.code is Code.TOO_MANY_UNKNOWN
+    assert read(ESTIMATE) is None
+
+
+def test_too_many_unknown_after_a_second_look_are_kept_for_the_operator_and_never_complete() -> None:
+    stage = estimating(estimate="look")
+    put(LOOKED_AGAIN, 2)
+
+    assert stage.tick(2) is Status.SUCCESS
+    estimate = read(ESTIMATE)
+    assert estimate is not None and estimate.graph.uncut.any() and not estimate.graph.complete
+
+
+def test_a_second_look_in_an_earlier_attempt_does_not_count() -> None:
+    stage = estimating(estimate="look")
+    put(LOOKED_AGAIN, 1)
+
+    assert stage.tick(2) is Status.FAILURE
     assert read(ESTIMATE) is None
 
 

@@ -32,7 +32,7 @@ def test_success_records_how_far_it_went() -> None:
     stage = exposing()
 
     assert stage.tick(2) is Status.SUCCESS
-    how_far = {"steps": 0, "path": [], "tension": [], "strain": [], "keyframes": []}
+    how_far = {"steps": 0, "path": [], "tension": [], "strain": [], "stamps": []}
     assert stage.noted("exposed") == [
         {"code": "ok", "message": "expose: ok", "stopped_by": "exposure_steps_done", **how_far},
     ]
@@ -40,7 +40,9 @@ def test_success_records_how_far_it_went() -> None:
 
 def test_what_was_measured_and_expected_is_recorded_as_json_can_say_it(monkeypatch: pytest.MonkeyPatch) -> None:
     two = np.array([0.1, 0.2])
-    forecast = Forecast(np.array([3, 8]), np.array([[1.0, 1.1], [1.2, np.inf]]), np.ones((2, 2)), np.array([-0.5, np.nan]))
+    forecast = Forecast(
+        np.array([3, 8]), np.array([[1.0, 1.1], [1.2, np.inf]]), np.ones((2, 2)), np.zeros((2, 2)), np.array([-0.5, np.nan])
+    )
     planned = Planned(**{field.name: two * (k + 1) for k, field in enumerate(fields(Planned))})
     outcome = ExposeOutcome(
         Code.OK,
@@ -49,7 +51,7 @@ def test_what_was_measured_and_expected_is_recorded_as_json_can_say_it(monkeypat
         path=np.array([[0.0005, 0.0, 0.1], [0.001, 1e-9, 0.1]]),
         tension=two,
         strain=np.array([np.nan, 0.3]),
-        keyframes=(1.5,),
+        stamps=np.array([1.4, 1.5]),
         forecast=forecast,
         planned=planned,
     )
@@ -65,7 +67,7 @@ def test_what_was_measured_and_expected_is_recorded_as_json_can_say_it(monkeypat
     (told,) = stage.noted("exposed")
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     assert told["path"] == [[0.0005, 0.0, 0.1], [0.001, 0.0, 0.1]]
-    assert (told["steps"], told["tension"], told["strain"], told["keyframes"]) == (2, [0.1, 0.2], [None, 0.3], [1.5])
+    assert (told["steps"], told["tension"], told["strain"], told["stamps"]) == (2, [0.1, 0.2], [None, 0.3], [1.4, 1.5])
     assert told["forecast"]["edges"] == [3, 8]
     assert told["forecast"]["severed"] == [[1.0, 1.1], [1.2, None]] and told["forecast"]["separation"] == [-0.5, None]
     assert list(told["planned"]) == [field.name for field in fields(Planned)] and told["planned"]["deform"] == [0.2, 0.4]

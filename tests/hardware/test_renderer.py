@@ -10,7 +10,7 @@ import pytest
 from hardware.codes import InputError
 from hardware.interface import Array, CameraModel, Pose
 from hardware.stub.renderer import Label, Look, Renderer
-from hardware.stub.surface import BaseSurface, SheetSurface, ToolShape
+from hardware.stub.surface import BaseSurface, Ligaments, SheetSurface, ToolShape
 
 CAMERA = CameraModel(320, 240, 310.0, 159.5, 119.5, 0.0043)
 QUIET = Look(noise=0.0)
@@ -40,6 +40,28 @@ def sheet(
     triangles = triangles[middle > hole / 2]
     points = np.column_stack([rest, distance + slope * rest[:, 1]])
     return SheetSurface(points.astype(np.float32), rest.astype(np.float32), triangles, revision, thickness)
+
+
+def half_cut(gap: float, depth: float = 0.6, thickness: float = 0.0015) -> SheetSurface:
+    """A sheet cut through along y = 0 but for its middle 40 mm, where only the share `depth` is severed; its halves are `gap` apart."""
+    whole = sheet(thickness=thickness)
+    on_cut = np.flatnonzero(np.abs(whole.rest[:, 1]) < 1e-6)
+    copies = np.arange(len(whole.rest), len(whole.rest) + len(on_cut))
+    triangles, positions = whole.triangles.copy(), np.concatenate([whole.positions, whole.positions[on_cut]])
+    lower = whole.rest[triangles, 1].mean(axis=1) > 0  # y runs down the image
+    copy_of = np.arange(len(whole.rest))
+    copy_of[on_cut] = copies
+    triangles[lower] = copy_of[triangles[lower]]
+    below = np.unique(triangles[lower])
+    positions[:, 1] -= np.float32(gap / 2)
+    positions[below, 1] += np.float32(gap)
+    held = np.flatnonzero(np.abs(whole.rest[on_cut, 0]) < 0.0201)
+    near, far = held[:-1], held[1:]
+    # Triangles run counter-clockwise for the camera: with x to the right, the lip that is higher up in the image is on the left.
+    ends = np.stack([on_cut[near], copies[near], on_cut[far], copies[far]], axis=1).astype(np.int32)
+    joined = Ligaments(ends, np.ones(len(ends), np.float32), np.full((len(ends), 2), depth, np.float32))
+    rest = np.concatenate([whole.rest, whole.rest[on_cut]])
+    return replace(whole, positions=positions, rest=rest, triangles=triangles, ligaments=joined)
 
 
 def tent(height: float = 0.012) -> SheetSurface:
@@ -157,6 +179,79 @@ def test_a_cut_shows_once_the_revision_grows() -> None:
     assert before.label[120, 160] == Label.TOP
     assert after.label[120, 160] == Label.BASE
     assert after.depth[120, 160] == pytest.approx(0.1, rel=1e-4)
+
+
+@pytest.mark.parametrize("depth", [0.2, 0.6, 0.9])
+def test_a_half_cut_shows_a_floor_of_flesh_as_deep_as_the_blade_went(depth: float) -> None:
+    surface = half_cut(0.004, depth)
+    rendering = Renderer(QUIET, CAMERA, bed()).render(surface, [], 0)
+
+    # In the row of the principal point: the floor over 40 mm, the bed beside it.
+    floor = 0.02 * CAMERA.focal / (0.08 + (depth - 0.5) * surface.thickness)
+    assert (rendering.label[120] == Label.SEAM).sum() == pytest.approx(2 * floor, abs=2)
+    assert set(rendering.label[120, 85:235]) == {Label.SEAM}
+    np.testing.assert_allclose(rendering.depth[120, 85:235], 0.08 + (depth - 0.5) * surface.thickness, rtol=1e-5)
+    assert (rendering.label[120, 20:70] == Label.BASE).all() and (rendering.label[120, 250:300] == Label.BASE).all()
+
+
+def test_the_floor_of_a_half_cut_is_as_bright_as_flesh_and_not_as_dark_as_the_bed() -> None:
+    rendering = Renderer(Look(noise=0.0, gloss=0.0), CAMERA, bed(0.083)).render(half_cut(0.004), [], 0)
+
+    floor, dark = (rendering.image[interior(rendering.label == label)] for label in (Label.SEAM, Label.BASE))
+    assert floor.max(axis=1).mean() > 0.7 * rendering.image[rendering.label == Label.TOP].max(axis=1).mean()
+    assert floor.max(axis=1).mean() > 1.4 * dark.max(axis=1).mean()
+
+
+def test_the_end_of_a_ligament_is_closed() -> None:
+    surface = half_cut(0.004, 0.2, thickness=0.004)
+    surface.positions[:, 0] -= 0.04  # its right end is now 20 mm to the left, and faces the camera
+
+    rendering = Renderer(QUIET, CAMERA, bed()).render(surface, [], 0)
+
+    # Along a row: the floor, then its end down to the underside, and only then the bed.
+    row = rendering.label[120, :160]
+    last = np.flatnonzero(row == Label.SEAM)[-1]
+    assert (row[: last + 1] == Label.SEAM).all() and (row[last + 1 :] == Label.BASE).all()
+    assert last == int(CAMERA.cu - 0.02 * CAMERA.focal / 0.082)
+    assert rendering.depth[120, last] > 0.081  # the floor itself is at 0.0788
+
+
+def test_ligaments_change_no_pixel_but_those_that_show_them() -> None:
+    renderer = Renderer(QUIET, CAMERA, bed())
+    surface = half_cut(0.004)
+
+    joined = renderer.render(surface, [tool()], 0)
+    parted = renderer.render(replace(surface, ligaments=Ligaments.none()), [tool()], 0)
+
+    seam = joined.label == Label.SEAM
+    assert seam.sum() > 500 and not (parted.label == Label.SEAM).any()
+    for field in ("label", "depth", "triangle"):
+        assert (getattr(joined, field)[~seam] == getattr(parted, field)[~seam]).all()
+
+
+def test_a_closed_half_cut_is_drawn_as_whole_tissue_to_the_byte() -> None:
+    surface = half_cut(0.0)
+
+    joined = Renderer(Look(), CAMERA, bed()).render(surface, [tool()], 3)
+    parted = Renderer(Look(), CAMERA, bed()).render(replace(surface, ligaments=Ligaments.none()), [tool()], 3)
+
+    for field in ("image", "depth", "label", "triangle"):
+        assert getattr(joined, field).tobytes() == getattr(parted, field).tobytes()
+
+
+def test_a_ligament_that_tears_or_gives_way_shows_without_a_new_revision() -> None:
+    renderer = Renderer(QUIET, CAMERA, bed())
+    surface = half_cut(0.004, 0.3)
+    whole = renderer.render(surface, [], 0)
+    deeper = replace(surface, ligaments=replace(surface.ligaments, depth=surface.ligaments.depth + np.float32(0.4)))
+
+    worse = renderer.render(deeper, [], 0)
+    torn = renderer.render(replace(surface, ligaments=Ligaments.none()), [], 0)
+    again = renderer.render(surface, [], 0)
+
+    assert worse.depth[120, 160] - whole.depth[120, 160] == pytest.approx(0.4 * surface.thickness, rel=1e-2)
+    assert torn.label[120, 160] == Label.BASE
+    assert again.image.tobytes() == whole.image.tobytes() and again.label.tobytes() == whole.label.tobytes()
 
 
 def test_the_bed_in_a_cavity_is_darker_than_the_open_bed() -> None:

@@ -13,7 +13,7 @@ import pytest
 from hardware.codes import Code
 from hardware.interface import CUTTER, GRASPER, Array
 from skills.estimate.grid import Grid, grid_around
-from skills.expose import optimal
+from skills.expose import expected
 from skills.expose.hypotheses import SeparationConfig
 from skills.expose.model import ModelConfig
 from skills.expose.mppi import MppiConfig
@@ -73,8 +73,8 @@ def show(monkeypatch: pytest.MonkeyPatch, seen: SurfaceOutcome | None = None, de
     """Let the controller see `sheet`, or whatever `seen` says, at `depth` [m] everywhere."""
     found = seen or SurfaceOutcome(Code.OK, "a sheet", sheet())
     flat = DepthMap(0.0, np.full((CAMERA.height, CAMERA.width), depth), 1.0)
-    monkeypatch.setattr(optimal, "depth_from_stereo", lambda *_: flat)
-    monkeypatch.setattr(optimal, "reconstruct", lambda *_: found)
+    monkeypatch.setattr(expected, "depth_from_stereo", lambda *_: flat)
+    monkeypatch.setattr(expected, "reconstruct", lambda *_: found)
 
 
 def planning(**settings: Any) -> PlannerConfig:

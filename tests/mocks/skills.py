@@ -105,7 +105,7 @@ class ScriptedSkills:
         none = np.zeros(0)
 
         def outcome(code: Code) -> ExposeOutcome:
-            return ExposeOutcome(code, f"expose: {code}", Code.EXPOSURE_STEPS_DONE, np.zeros((0, 3)), none, none)
+            return ExposeOutcome(code, f"expose: {code}", Code.EXPOSURE_STEPS_DONE, np.zeros((0, 3)), none, none, none)
 
         return self._run("expose", {w: partial(outcome, c) for w, c in codes.items()}, lease)
 

@@ -285,7 +285,7 @@ def watched(*widths: float) -> GapWatch:
 
 
 def test_the_widest_opening_is_kept_when_it_closes_again():
-    assert watched(4.0, 9.0, 9.0, 3.0, 0.0).widest()[:2] == widened(9.0, 9.0)
+    assert watched(4.0, 9.0, 9.0, 3.0, 0.0).parted()[:2] == widened(9.0, 9.0)
 
 
 def test_a_faint_slit_that_opens_while_it_is_watched_counts():
@@ -293,15 +293,15 @@ def test_a_faint_slit_that_opens_while_it_is_watched_counts():
     for _ in range(2):
         watch.look(slit(9.0, bed=0.8 * 150.0), ENDS, ALL)
 
-    assert watch.widest()[:2] == widened(9.0, 9.0)
+    assert watch.parted()[:2] == widened(9.0, 9.0)
 
 
 def test_what_is_seen_in_one_look_only_does_not_count():
-    assert (watched(0.0, 12.0, 0.0, 0.0).widest()[:2] == 0.0).all()
+    assert (watched(0.0, 12.0, 0.0, 0.0).parted()[:2] == 0.0).all()
 
 
 def test_an_opening_that_grows_counts_as_wide_as_it_was_twice():
-    assert watched(4.0, 8.0, 12.0).widest()[:2] == widened(8.0, 8.0)
+    assert watched(4.0, 8.0, 12.0).parted()[:2] == widened(8.0, 8.0)
 
 
 def test_a_slit_that_is_open_only_at_first_counts():
@@ -309,15 +309,45 @@ def test_a_slit_that_is_open_only_at_first_counts():
     for width in (6.0, 0.0, 0.0):
         watch.look(slit(width), ENDS, ALL)
 
-    assert watch.widest()[:2] == pytest.approx([6.0, 6.0], abs=1.0)
+    assert watch.parted()[:2] == pytest.approx([6.0, 6.0], abs=1.0)
 
 
-def test_edges_that_do_not_cross_the_goal_are_not_watched():
-    assert np.isnan(watched(9.0, 9.0).widest()).tolist() == [False, False, True]
+def test_an_edge_along_the_goal_shows_no_opening_where_those_across_it_do():
+    assert watched(9.0, 9.0).parted() == widened(9.0, 9.0, 0.0)
+
+
+def test_the_bed_is_seen_through_a_dark_opening_and_not_in_a_groove():
+    groove = watched()
+    for _ in range(2):
+        groove.look(slit(9.0, bed=0.8 * 150.0), ENDS, ALL)
+
+    assert watched(9.0, 9.0).bed()[:2] == widened(9.0, 9.0)
+    assert (groove.bed()[:2] == 0.0).all()
+
+
+def test_an_end_that_came_to_lie_in_the_opening_does_not_hide_it():
+    ends = np.concatenate([edge(20.0, across(0.0), MIDDLE + np.array([x, 0.0])) for x in range(-60, 61, 20)])
+    edges = np.arange(len(ends)).reshape(-1, 2)
+    watch = GapWatch(slit(0.0), ends, edges, np.ones(len(edges), dtype=bool))
+    ends[0] = (ends[0] + ends[1]) / 2
+    for _ in range(2):
+        watch.look(slit(16.0), ends, np.ones(len(ends), dtype=bool))
+
+    assert watch.parted() == pytest.approx([9.0, *6 * [18.0]], abs=1.5)
+
+
+def test_what_passes_under_a_tool_is_left_out():
+    watch, tools = watched(), np.zeros(slit(0.0).shape[:2], dtype=bool)
+    left, top = (ENDS[0] + ENDS[1]) / 2 - 3.0
+    tools[int(top) : int(top) + 6, int(left) : int(left) + 6] = True
+    for _ in range(2):
+        watch.look(slit(9.0), ENDS, ALL, tools)
+
+    assert np.isnan(watch.parted()[0]) and watch.parted()[1:2] == widened(9.0)
 
 
 def test_before_a_second_look_nothing_is_known():
-    assert np.isnan(watched().widest()).all()
+    assert np.isnan(watched().parted()).all()
 
 
 def test_an_end_that_is_not_seen_leaves_its_edge_out():
@@ -325,7 +355,7 @@ def test_an_end_that_is_not_seen_leaves_its_edge_out():
     for seen in (ALL, np.array([False, True, True, True])) * 2:
         watch.look(slit(9.0), ENDS, seen)
 
-    widest = watch.widest()
+    widest = watch.parted()
 
     # The first edge was never seen open in two looks in a row.
     assert widest[0] == 0.0
@@ -337,7 +367,7 @@ def test_an_edge_is_followed_where_its_ends_go():
     for shift in (5.0, 10.0, 15.0):
         watch.look(np.roll(slit(7.0), int(shift), axis=0), ENDS + np.array([0.0, shift]), ALL)
 
-    assert watch.widest()[:2] == widened(7.0, 7.0)
+    assert watch.parted()[:2] == widened(7.0, 7.0)
 
 
 def test_a_vessel_that_was_there_at_first_is_no_opening():
@@ -346,7 +376,7 @@ def test_a_vessel_that_was_there_at_first_is_no_opening():
     for _ in range(3):
         watch.look(vessel, ENDS, ALL)
 
-    assert (watch.widest()[:2] == 0.0).all()
+    assert (watch.parted()[:2] == 0.0).all()
 
 
 def test_a_strand_thinner_than_the_grid_keeps_the_edge_beside_it_from_counting_as_parted():
@@ -360,8 +390,137 @@ def test_a_strand_thinner_than_the_grid_keeps_the_edge_beside_it_from_counting_a
     for between in ((), (-0.375, 0.375)):
         watch = GapWatch(image, points, edges, np.ones(4, dtype=bool), between)
         watch.look(image, points, np.ones(8, dtype=bool))
-        widths.append(watch.widest())
+        widths.append(watch.parted())
 
     assert (widths[0] > 12).all()
     assert widths[1][1] < 1.0
     assert (widths[1][[0, 3]] > 12).all()
+
+
+# Light that changes, and edges of which none crosses the goal
+
+
+@pytest.mark.parametrize("share", [0.7, 0.85, 1.25])
+@pytest.mark.parametrize("falloff", [0.0, -0.4])
+def test_light_that_dims_or_brightens_opens_nothing(share, falloff):
+    def lit(by: float, seed: int) -> Image:
+        noise = np.random.default_rng(seed).normal(0.0, 2.0, (160, 200, 3))
+        return np.asarray(np.clip(by * slit(0.0, falloff=falloff) + noise, 0, 255), dtype=np.uint8)
+
+    watch = GapWatch(lit(1.0, 0), ENDS, TWO, CROSSES)
+    for look in range(1, 5):
+        watch.look(lit(share, look), ENDS, ALL)
+
+    assert (watch.parted() == 0.0).all()
+    assert (watch.bed() == 0.0).all()
+
+
+def test_a_slit_is_as_wide_in_a_light_that_has_dimmed_by_a_third():
+    watch = watched()
+    for _ in range(2):
+        watch.look((0.7 * slit(9.0)).astype(np.uint8), ENDS, ALL)
+
+    assert watch.parted()[:2] == widened(9.0, 9.0)
+    assert watch.bed()[:2] == widened(9.0, 9.0)
+
+
+def test_a_light_that_dims_makes_no_bed_of_a_groove():
+    watch = watched()
+    for _ in range(2):
+        watch.look((0.7 * slit(9.0, bed=0.8 * 150.0)).astype(np.uint8), ENDS, ALL)
+
+    assert watch.parted()[:2] == widened(9.0, 9.0)
+    assert (watch.bed()[:2] == 0.0).all()
+
+
+NONE_CROSSES = np.zeros(3, dtype=bool)
+
+
+def test_an_edge_away_from_the_goal_parts_like_one_across_it():
+    watch = GapWatch(slit(0.0), ENDS, TWO, NONE_CROSSES, (-0.375, 0.375))
+    for _ in range(2):
+        watch.look(slit(9.0), ENDS, ALL)
+
+    assert watch.parted() == widened(9.0, 9.0, 0.0)
+    assert watch.bed() == widened(9.0, 9.0, 0.0)
+
+
+def test_an_edge_away_from_the_goal_shows_a_groove_without_bed():
+    watch = GapWatch(slit(0.0), ENDS, TWO, NONE_CROSSES)
+    for _ in range(2):
+        watch.look(slit(9.0, bed=0.8 * 150.0), ENDS, ALL)
+
+    assert watch.parted()[:2] == widened(9.0, 9.0)
+    assert (watch.bed() == 0.0).all()
+
+
+def test_only_edges_across_the_goal_must_be_open_beside_themselves_too():
+    image = slit(9.0)
+    image[:, 75:84] = slit(0.0)[:, 75:84]  # a strand between the two edges, nearer to the first
+    for crosses, bridged in ((CROSSES, True), (NONE_CROSSES, False)):
+        watch = GapWatch(slit(0.0), ENDS, TWO, crosses, (0.24,))
+        for _ in range(2):
+            watch.look(image, ENDS, ALL)
+        widths = watch.parted()
+        assert (widths[0] == 0.0) == bridged
+        assert widths[1:2] == widened(9.0)
+
+
+def test_what_was_told_of_the_bed_does_not_change_with_the_next_look():
+    watch = watched(6.0, 6.0)
+    before = watch.bed()
+    kept = before.copy()
+    for _ in range(2):
+        watch.look(slit(15.0), ENDS, ALL)
+
+    assert np.array_equal(before, kept, equal_nan=True)
+    assert watch.bed()[0] > kept[0] + 5.0
+
+
+def test_bed_and_opening_are_never_wider_than_one_another_allows():
+    for width in (3.0, 8.0, 14.0):
+        for bed in (15.0, 80.0, 0.8 * 150.0):
+            watch = watched()
+            for _ in range(2):
+                watch.look(slit(width, bed=bed, noise=2.0), ENDS, ALL)
+            assert (watch.bed() <= watch.parted()).all()
+
+
+# What is decided
+
+
+def test_an_opening_that_shows_the_bed_is_decided_by_as_much_of_it_as_is_seen():
+    watch = watched(9.0, 9.0)
+
+    assert np.array_equal(watch.decided()[:2], watch.bed()[:2])
+    assert watch.decided()[:2] == widened(9.0, 9.0)
+
+
+def test_where_nothing_opened_it_is_decided_that_nothing_did():
+    assert (watched(0.0, 0.0).decided() == 0.0).all()
+
+
+def test_a_groove_decides_nothing():
+    watch = watched()
+    for _ in range(2):
+        watch.look(slit(9.0, bed=0.8 * 150.0), ENDS, ALL)
+
+    assert np.isnan(watch.decided()[:2]).all()
+    assert watch.decided()[2] == 0.0
+
+
+def test_a_groove_that_opens_to_the_bed_later_is_decided_then():
+    watch = watched()
+    for bed in (0.8 * 150.0, 0.8 * 150.0, 15.0, 15.0):
+        watch.look(slit(9.0, bed=bed), ENDS, ALL)
+
+    assert watch.decided()[:2] == widened(9.0, 9.0)
+
+
+def test_what_could_not_be_looked_at_decides_nothing():
+    watch = watched()
+    for _ in range(2):
+        watch.look(slit(9.0), ENDS, np.array([False, True, True, True]))
+
+    assert np.isnan(watch.decided()[[0, 2]]).all()
+    assert watch.decided()[1:2] == widened(9.0)

@@ -60,8 +60,9 @@ def seen(value: float, *edges: int) -> Array:
 
 
 def gaping(h: Hypotheses) -> int:
-    """The edge across the goal that is expected to gape most."""
-    return int(np.argmax(h.stretch().gap))
+    """The edge across the goal that is expected to gape most, of those that are nearest to some seam: edges lie closer than seams."""
+    nearest = np.abs(MODEL.seam_station[:, None] - GRID.station[CROSSING]).argmin(axis=1)
+    return int(max(nearest, key=lambda edge: h.stretch().gap[edge]))
 
 
 def seam_at(edge: int) -> int:

@@ -13,10 +13,11 @@ import pytest
 from hardware.codes import Code
 from hardware.interface import GRASPER, Array
 from skills.estimate.grid import Grid
-from skills.expose import optimal
+from skills.expose import expected, optimal
+from skills.expose.expected import Pulled, likeliest
 from skills.expose.hypotheses import Hypotheses, SeparationConfig, Stretch
 from skills.expose.model import ModelConfig, TissueModel, build_model
-from skills.expose.optimal import OptimalConfig, Pulled, SteeringOptimal, View, likeliest
+from skills.expose.optimal import OptimalConfig, SteeringOptimal, View
 from skills.expose.outcome import ExposeOutcome, Planned
 from skills.expose.planner import Objective, Plan, Planner
 from skills.expose.pull import Exposure, PullConfig
@@ -286,7 +287,7 @@ def test_a_pull_longer_than_the_test_pull_tells_more(monkeypatch):
         asked.append(pulled)
         return models[0]
 
-    monkeypatch.setattr(optimal, "likeliest", note)
+    monkeypatch.setattr(expected, "likeliest", note)
     for back in (1e-3, 5e-3):
         exposing = Exposing(1)
         origin = exposing.grasped.origin.moved(-back * ACROSS)
@@ -476,13 +477,16 @@ def test_the_report_has_no_row_when_no_step_was_made(monkeypatch):
     assert_one_row_a_step(outcome, 0)
 
 
-def test_a_report_is_given_once():
+def test_what_was_expected_is_told_on_the_way_and_after_the_report():
     exposing = Exposing(2)
+    before = exposing.exposure.forecast()
+
     outcome = exposing.finish()
 
-    bare = replace(outcome, forecast=None, planned=None)
-
-    assert exposing.steering.report(bare) is bare
+    after = exposing.exposure.forecast()
+    assert before is None and after is not None and outcome.forecast is not None
+    assert after.gap.shape == after.severed.shape == (2, len(after.edges))
+    assert np.array_equal(after.gap, outcome.forecast.gap, equal_nan=True)
 
 
 def test_the_forecast_follows_the_pull():

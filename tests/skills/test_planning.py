@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hardware.codes import Code
-from hardware.interface import CUTTER
-from skills.dissect.planning import Path, PlanningAgent, PlanningConfig, retraction_direction
-from skills.grasp import GraspConfig
+from hardware.interface import CUTTER, MoveReport, MoveStatus, Pose
+from skills.dissect.planning import Path, PlanningAgent, PlanningConfig, _on_goal, retraction_direction
+from skills.grasp import GraspConfig, Grasped
 from skills.scene.stereo import StereoConfig
 from skills.skill import ImmediateExecutor
 from skills.tracking.tracks import TrackedGoal
@@ -96,6 +96,48 @@ def test_after_a_refused_snip_the_goal_is_watched_again():
 
     assert report.code is Code.WORKSPACE
     assert cutting.clear_view
+
+
+def depth_of_the_next_snip(cutting: PlanningAgent, table: Table, monkeypatch: pytest.MonkeyPatch) -> float:
+    """How far [m] below the surface the closed tip would be sent."""
+    poses: list[Pose] = []
+
+    def note(lease, pose, above, jaw, doing):
+        poses.append(pose)
+        yield from ()
+        return MoveReport(MoveStatus.DONE)
+
+    monkeypatch.setattr(cutting, "_close_at", note)
+    table.finish(cutting._snip(table.lease, straight_path(), 0.02, 0.005, "snip"))
+    return float(poses[0].position[2] - 0.08)
+
+
+def test_each_corrective_pass_goes_deeper_up_to_a_limit_and_a_whole_pass_does_not(monkeypatch):
+    table, cutting, config = Table(), agent(), PlanningConfig()
+    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+    segments = np.array([[[300.0, 240.0], [340.0, 240.0]]])
+    depths = []
+    for cut in (None, segments, segments, segments, segments, None):
+        table.finish(cutting.run(table.lease, goal, cut))
+        depths.append(depth_of_the_next_snip(cutting, table, monkeypatch))
+
+    deeper = [min(config.depth + k * config.deeper, config.deepest) for k in range(5)]
+    assert depths == pytest.approx([*deeper, config.depth])
+
+
+@pytest.mark.parametrize(
+    ("segment", "stations"),
+    [
+        ([[150.0, 240.0], [320.0, 240.0]], (0.0, 0.5)),
+        ([[320.0, 240.0], [500.0, 240.0]], (0.5, 1.0)),
+        ([[260.0, 236.0], [380.0, 244.0]], (0.25, 0.75)),
+    ],
+)
+def test_a_corrective_segment_ends_at_the_goals_ends_and_keeps_its_place_across_it(segment, stations):
+    on_goal = _on_goal(goal(), np.array(segment))
+
+    assert on_goal[:, 0] == pytest.approx(stations, abs=0.01)
+    assert on_goal[:, 1] == pytest.approx((240.0 - np.array(segment)[:, 1]) / 18.0, abs=0.01)
 
 
 def test_preempted_in_the_middle_it_leaves_the_arms_holding():

@@ -43,6 +43,9 @@ class ScriptedSteering:
         self.asked.append((number, here))
         return self.steer(number)
 
+    def forecast(self) -> None:
+        return None
+
     def report(self, outcome) -> ExposeOutcome:
         self.reported.append(outcome)
         return replace(outcome, message=f"{outcome.message} (reported)")
@@ -225,8 +228,7 @@ def test_an_exposure_that_never_began_has_empty_rows():
     outcome = pull.finish()
 
     assert outcome.path.shape == (0, 3)
-    assert outcome.tension.shape == outcome.strain.shape == (0,)
-    assert outcome.keyframes == ()
+    assert outcome.tension.shape == outcome.strain.shape == outcome.stamps.shape == (0,)
     assert pull.exposure.steps_done == 0
 
 
@@ -310,7 +312,7 @@ def test_the_tissue_settles_before_the_reference_and_after_the_pull(settle):
     outcome = pull.finish()
 
     assert looks[0] - began >= settle - 1e-9
-    assert pull.lease.now() - outcome.keyframes[-1] >= settle - 1e-9
+    assert pull.lease.now() - outcome.stamps[-1] >= settle - 1e-9
 
 
 @pytest.mark.parametrize("stop", [FAR_ENOUGH, NO_WAY])
@@ -542,37 +544,13 @@ def test_a_steering_that_raises_midway_leaves_the_arms_holding():
     assert pull.exposure.steps_done == 3
 
 
-@pytest.mark.parametrize(("done", "kept"), [(1, [1]), (5, [5]), (7, [2, 7]), (12, [2, 7, 12])])
-def test_keyframes_are_the_times_of_every_fifth_step_counted_from_the_last(done, kept):
-    pull = Pull(steps=done)
+def test_each_step_is_stamped_when_it_was_done():
+    pull = Pull(steps=7)
     looks = pull.note_looks()
 
     outcome = pull.finish()
 
-    after = looks[-done:]  # one look at the goal after each step
-    assert outcome.keyframes == tuple(after[number - 1] for number in kept)
-
-
-def test_keyframes_of_a_pull_cut_short_end_with_its_last_step():
-    pull = Pull(ScriptedSteering(lambda number: STEP if number <= 4 else NO_WAY), keyframe_every=2)
-
-    outcome = pull.finish()
-
-    assert len(outcome.keyframes) == 2
-    assert outcome.keyframes[-1] <= pull.lease.now()
-    assert outcome.keyframes[0] < outcome.keyframes[1]
-
-
-def test_the_steering_reports_once_on_what_it_began_and_on_nothing_else():
-    begun, never = Pull(steps=2), Pull(steps=2)
-    never.grid = None
-
-    outcome = begun.finish()
-    never.finish()
-
-    (reported,) = begun.steering.reported
-    assert outcome.message == f"{reported.message} (reported)"
-    assert never.steering.reported == []
+    assert outcome.stamps.tolist() == looks[-7:]  # one look at the goal after each step
 
 
 @pytest.mark.parametrize(
@@ -585,7 +563,6 @@ def test_the_steering_reports_once_on_what_it_began_and_on_nothing_else():
         {"settle": 0.0},
         {"slip_tension": 0.0},
         {"steps": 0},
-        {"keyframe_every": 0},
         {"slip_drop": 0.0},
         {"slip_drop": 1.0},
     ],

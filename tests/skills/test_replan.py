@@ -1,6 +1,7 @@
-"""The greedy cover: it covers, it is short, it stays where it may, and it says when it cannot."""
+"""The next goal: it covers, it is short, it stays where it may, it says what it will sever, and it says when it cannot."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -10,9 +11,13 @@ from hypothesis import strategies as st
 from hardware.codes import Code
 from skills.estimate.graph import ConnectivityGraph, EdgeState
 from skills.estimate.grid import GridConfig, grid_around
-from skills.replan.candidates import Candidates, ReplanConfig, order_along
-from skills.replan.greedy import greedy_cover, next_goal
+from skills.replan import plan as plan_module
+from skills.replan.candidates import Candidates, ReplanConfig
+from skills.replan.greedy import greedy_cover
 from skills.replan.next_goal import NextGoal
+from skills.replan.optimal import FewestCuts
+from skills.replan.order import order_along
+from skills.replan.plan import next_goal
 from skills.scene.segments import touch
 from tests.skills.goals import straight, tracked_goal
 
@@ -41,6 +46,9 @@ def graph_with(uncut: list[int], unknown: list[int] | None = None) -> Connectivi
     )
 
 
+COVERS = pytest.mark.parametrize("cover", ["optimal", "greedy"])
+
+
 def assert_covers(graph: ConnectivityGraph, plan: NextGoal) -> None:
     uncut = np.flatnonzero(graph.uncut)
     severed = sorted(e for edges in plan.severs for e in edges)
@@ -50,9 +58,16 @@ def assert_covers(graph: ConnectivityGraph, plan: NextGoal) -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.sets(st.integers(0, len(CROSSING) - 1), min_size=1), st.integers(0, 1000), st.booleans())
-def test_the_cover_really_covers_and_keeps_the_length(uncut: set[int], seed: int, trim: bool) -> None:
-    graph, config = graph_with(sorted(uncut)), ReplanConfig(trim=trim)
+@given(
+    st.sets(st.integers(0, len(CROSSING) - 1), min_size=1),
+    st.integers(0, 1000),
+    st.booleans(),
+    st.sampled_from(["optimal", "greedy"]),
+)
+def test_the_cover_really_covers_and_keeps_the_length(
+    uncut: set[int], seed: int, trim: bool, cover: Literal["optimal", "greedy"]
+) -> None:
+    graph, config = graph_with(sorted(uncut)), ReplanConfig(trim=trim, cover=cover)
     plan = next_goal(graph, TRACKED, config, np.random.default_rng(seed))
     assert plan.code is Code.OK
     assert_covers(graph, plan)
@@ -63,8 +78,9 @@ def test_the_cover_really_covers_and_keeps_the_length(uncut: set[int], seed: int
     assert len(plan.segments) <= len(uncut)
 
 
-def test_a_short_attachment_takes_one_segment_along_the_goal_trimmed_to_it() -> None:
-    plan = next_goal(graph_with([10, 11, 12]), TRACKED)
+@COVERS
+def test_a_short_attachment_takes_one_segment_along_the_goal_trimmed_to_it(cover: Literal["optimal", "greedy"]) -> None:
+    plan = next_goal(graph_with([10, 11, 12]), TRACKED, ReplanConfig(cover=cover))
     assert len(plan.segments) == 1
     (start, end) = plan.segments[0]
     assert abs(start[1] - end[1]) < 1e-6
@@ -103,22 +119,94 @@ def test_unknown_edges_are_severed_too_and_named() -> None:
     assert "1 edge not seen well enough" in plan.message
 
 
+def test_unknown_edges_that_are_not_seen_are_left_out_and_counted() -> None:
+    graph = graph_with([5], unknown=[20, 25])
+    seen = np.ones(len(graph.points), dtype=bool)
+    seen[graph.edges[CROSSING[20], 0]] = False
+    plan = next_goal(graph, TRACKED, seen=seen)
+    assert sorted(e for edges in plan.severs for e in edges) == sorted(CROSSING[[5, 25]].tolist())
+    assert plan.left_out == 1 and "1 unknown edge not seen now is left out" in plan.message
+    assert not touch(plan.segments, graph.points[graph.edges[CROSSING[[20]]]]).any()
+
+
+def test_unknown_edges_without_a_place_are_not_seen() -> None:
+    graph = graph_with([5], unknown=[20])
+    points = graph.points.copy()
+    points[graph.edges[CROSSING[20], 1]] = np.nan
+    plan = next_goal(replace(graph, points=points), TRACKED)
+    assert (plan.code, plan.left_out, len(plan.segments)) == (Code.OK, 1, 1)
+
+
+@COVERS
+def test_when_only_unseen_unknown_edges_are_left_another_exposure_is_asked_for(cover: Literal["optimal", "greedy"]) -> None:
+    graph = graph_with([], unknown=[20, 21])
+    plan = next_goal(graph, TRACKED, ReplanConfig(cover=cover), seen=np.zeros(len(graph.points), dtype=bool))
+    assert (plan.code, plan.left_out, len(plan.segments)) == (Code.NO_CANDIDATE, 2, 0)
+    assert "another exposure" in plan.message
+
+
+def test_a_connected_edge_is_cut_though_the_tracker_lost_sight_of_it() -> None:
+    graph = graph_with([5])
+    plan = next_goal(graph, TRACKED, seen=np.zeros(len(graph.points), dtype=bool))
+    assert_covers(graph, plan)
+
+
+def test_each_segment_says_what_it_severs_and_where() -> None:
+    graph = graph_with([4, 5], unknown=[6])
+    plan = next_goal(graph, TRACKED, goal_length=40e-3)
+    ends = [f"{40 * graph.station[CROSSING[k]]:.1f}" for k in (4, 6)]
+    expected = (
+        f"severs 3 connections (2 still attached, 1 not known to be severed) between {ends[0]} and {ends[1]} mm along the goal"
+    )
+    assert plan.reasons == (expected,)
+    assert plan.explanation == f"{plan.message} Segment 1 {expected}."
+
+
+def test_without_a_length_places_are_told_in_percent() -> None:
+    graph = graph_with([4])
+    (reason,) = next_goal(graph, TRACKED).reasons
+    assert reason == f"severs 1 connection (1 still attached) at {100 * graph.station[CROSSING[4]]:.0f} % of the goal"
+
+
+def test_the_optimal_cover_is_proven_and_compared_with_the_greedy_one() -> None:
+    graph = graph_with(list(range(len(CROSSING))))
+    plan, paper = (next_goal(graph, TRACKED, ReplanConfig(cover=cover)) for cover in ("optimal", "greedy"))
+    assert plan.proven and "Fewer segments cannot do it" in plan.message
+    assert len(plan.segments) <= plan.greedy_segments == len(paper.segments)
+    assert not paper.proven
+    assert next_goal(graph, TRACKED, ReplanConfig(compare=False)).greedy_segments is None
+
+
+def test_without_a_proof_the_greedy_cover_is_taken_if_it_is_shorter(monkeypatch: pytest.MonkeyPatch) -> None:
+    edges = GRID.points[GRID.edges[CROSSING]]
+    middles, half = edges.mean(axis=1), np.array([4.0, 0.0])
+    one_each = np.stack([middles - half, middles + half], axis=1)
+    monkeypatch.setattr(plan_module, "fewest_cuts", lambda *_: FewestCuts(one_each, touch(one_each, edges), 1))
+    graph = graph_with(list(range(len(CROSSING))))
+    plan = next_goal(graph, TRACKED)
+    assert_covers(graph, plan)
+    assert len(plan.segments) <= (plan.greedy_segments or 0) < len(one_each)
+    assert not plan.proven and "without a proof" in plan.message
+
+
 def test_nothing_uncut_needs_no_segment() -> None:
     plan = next_goal(graph_with([]), TRACKED)
     assert (plan.code, plan.segments.shape, plan.severs) == (Code.OK, (0, 2, 2), ())
 
 
-def test_segments_stay_inside_the_tissue() -> None:
+@COVERS
+def test_segments_stay_inside_the_tissue(cover: Literal["optimal", "greedy"]) -> None:
     outline = np.zeros((480, 640), dtype=bool)
     outline[150:330, 100:540] = True
     outline[:, 330:] = False
-    plan = next_goal(graph_with([20, 21, 22]), TRACKED, outline=outline)
+    plan = next_goal(graph_with([20, 21, 22]), TRACKED, ReplanConfig(cover=cover), outline=outline)
     assert plan.code is Code.OK
     assert plan.segments[..., 0].max() < 330.5
 
 
-def test_an_edge_that_no_allowed_segment_reaches_is_reported() -> None:
-    plan = next_goal(graph_with([3, 20]), TRACKED, outline=np.zeros((480, 640), dtype=bool))
+@COVERS
+def test_an_edge_that_no_allowed_segment_reaches_is_reported(cover: Literal["optimal", "greedy"]) -> None:
+    plan = next_goal(graph_with([3, 20]), TRACKED, ReplanConfig(cover=cover), outline=np.zeros((480, 640), dtype=bool))
     assert plan.code is Code.NO_CANDIDATE
     assert "2 of 2" in plan.message
     assert len(plan.segments) == 0
@@ -165,7 +253,10 @@ def test_ties_fall_to_the_smaller_angle_then_to_the_nearer() -> None:
     assert [k for k, _ in greedy_cover(covers, pool)] == [2]
 
 
-@pytest.mark.parametrize("bad", [{"segment_length": 0.0}, {"orientations": 0}, {"max_draws": 3}])
+@pytest.mark.parametrize(
+    "bad",
+    [{"segment_length": 0.0}, {"orientations": 0}, {"max_draws": 3}, {"cover": "best"}, {"corridor": -1.0}, {"max_nodes": 0}],
+)
 def test_a_senseless_configuration_is_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"needed|positive"):
+    with pytest.raises(ValueError, match=r"needed|positive|optimal"):
         ReplanConfig(**bad)  # type: ignore[arg-type]

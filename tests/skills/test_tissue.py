@@ -1,10 +1,10 @@
-"""Tissue and tool masks on painted scenes: three tissues, a vignette, a bed, an opening, a tool, a highlight."""
+"""Tissue and tool masks on painted scenes: three tissues, a vignette, a bed, an opening, a tool, highlights."""
 
 import cv2
 import numpy as np
 import pytest
 
-from skills.scene.tissue import tissue_mask, tissue_outline, tool_mask
+from skills.scene.tissue import TissueConfig, hidden_mask, tissue_mask, tissue_outline, tool_mask
 
 COLOURS = {"silicone": (185, 156, 128), "chicken": (176, 150, 132), "beef": (150, 62, 52)}
 
@@ -62,3 +62,84 @@ def test_a_black_picture_holds_neither() -> None:
     black = np.zeros((480, 640, 3), np.uint8)
     assert not tissue_mask(black).any()
     assert not tool_mask(black).any()
+
+
+# What hides the tissue
+
+
+def glaring(at: tuple[int, int] = (200, 330), radius: int = 9) -> tuple[np.ndarray, np.ndarray]:
+    """The silicone scene with a highlight that saturates the sensor, and the distance [px] of each pixel from it."""
+    image, _ = painted(COLOURS["silicone"])
+    cv2.circle(image, at, radius, (255, 255, 255), -1)
+    v, u = np.mgrid[0:480, 0:640]
+    return image, np.hypot(u - at[0], v - at[1]) - radius
+
+
+def plain(colour: tuple[int, int, int]) -> np.ndarray:
+    """Tissue alone, with noise and with a highlight that does not saturate the sensor."""
+    image = np.full((480, 640, 3), colour, np.float32)
+    cv2.circle(image, (200, 330), 9, (236, 234, 226), -1)
+    return np.clip(image + np.random.default_rng(2).normal(0, 2, image.shape), 0, 229).astype(np.uint8)
+
+
+@pytest.mark.parametrize("tissue", COLOURS)
+def test_an_ordinary_picture_hides_nothing(tissue: str) -> None:
+    assert not hidden_mask(plain(COLOURS[tissue])).any()
+
+
+@pytest.mark.parametrize("tissue", COLOURS)
+def test_an_opening_and_the_bed_are_dark_and_not_hidden(tissue: str) -> None:
+    image, parts = painted(COLOURS[tissue])
+    assert not hidden_mask(image)[parts["opening"]].any()
+
+
+@pytest.mark.parametrize("tissue", COLOURS)
+def test_tools_hide_what_is_below_them(tissue: str) -> None:
+    image, parts = painted(COLOURS[tissue])
+    hidden = hidden_mask(image)
+    assert hidden[parts["tool"]].mean() > 0.99
+    assert (hidden >= tool_mask(image)).all()
+
+
+def test_a_highlight_that_saturates_the_sensor_hides_the_tissue_with_a_margin() -> None:
+    image, away = glaring()
+    before, _ = painted(COLOURS["silicone"])
+    margin, hidden = TissueConfig().glare_margin, hidden_mask(image)
+    assert hidden[away < margin - 1].all()
+    assert (hidden == hidden_mask(before))[away > margin + 1].all()
+    assert not hidden_mask(before)[away <= margin + 1].any()
+
+
+@pytest.mark.parametrize("margin", [4, 16, 30])
+def test_the_margin_of_a_highlight_is_the_one_that_is_set(margin: int) -> None:
+    image, away = glaring()
+    hidden = hidden_mask(image, TissueConfig(glare_margin=margin))
+    reach = away[hidden & (away < 60)].max()
+    assert reach == pytest.approx(margin, abs=1.5)
+
+
+def test_a_single_saturated_pixel_hides_its_surroundings() -> None:
+    image = plain(COLOURS["chicken"])
+    image[100, 500] = 255
+    v, u = np.argwhere(hidden_mask(image)).T
+    assert (v.min(), v.max(), u.min(), u.max()) == (84, 116, 484, 516)
+
+
+def test_what_is_bright_in_some_channels_only_is_no_glare() -> None:
+    image = plain(COLOURS["silicone"])
+    cv2.circle(image, (400, 240), 20, (255, 255, 210), -1)
+    assert not hidden_mask(image)[220:260, 380:420].any()
+
+
+def test_a_highlight_at_the_border_hides_only_what_is_in_the_picture() -> None:
+    image, away = glaring((2, 470))
+    hidden = hidden_mask(image)
+    assert hidden.shape == image.shape[:2]
+    assert hidden[away < TissueConfig().glare_margin - 1].all()
+
+
+def test_the_picture_is_left_as_it_was() -> None:
+    image, _ = glaring()
+    before = image.copy()
+    hidden_mask(image)
+    assert np.array_equal(image, before)

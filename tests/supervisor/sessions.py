@@ -161,7 +161,7 @@ def exposed(steps: int) -> dict[str, Any]:
         "path": [[-0.0005 * k, 0.0, 0.1] for k in range(1, steps + 1)],
         "tension": by_step,
         "strain": [None, *by_step[1:]],
-        "keyframes": [1.0],
+        "stamps": [1.0 + 0.1 * k for k in range(1, steps + 1)],
         "forecast": {"edges": [7], "severed": [[1.5]] * steps, "connected": [[1.1]] * steps, "separation": by_step},
         "planned": {"opening": by_step, "agreement": by_step, "feasible": [1.0] * steps},
     }

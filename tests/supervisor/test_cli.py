@@ -12,11 +12,15 @@ import pytest
 
 from hardware.codes import InputError
 from hardware.stub.bench import StubBench
-from supervisor import topics
+from skills.estimate.rule import Rule
+from supervisor import cli, topics
+from supervisor.choices import Choices
 from supervisor.cli import Expose, main
+from supervisor.experiments import detection
 from supervisor.reading import read
 from supervisor.replay import timeline
 from supervisor.skillset import ExposureKind
+from tests.supervisor.experiments.detection_runs import run as made_up_run
 
 GOAL = {"image_size": [640, 480], "polyline": [[250, 240], [390, 240]], "grasp": [320, 190]}
 
@@ -73,6 +77,13 @@ def test_a_bad_goal_gets_one_sentence_and_nothing_moves(monkeypatch, capsys, tmp
         (["run", "--agent", "magic"], "planning"),
         (["run", "--attempts", "0"], "attempts"),
         (["run", "--expose", "sideways"], "goal-normal"),
+        (["run", "--rule", "guess"], "likelihood"),
+        (["run", "--cover", "clever"], "greedy"),
+        (["run", "--tracker", "diss"], "there is no tracker 'diss'"),
+        (["run", "--tracker", "nowhere.onnx"], "nowhere.onnx"),
+        (["run", "--tracker", "raft"], "raft"),
+        (["run", "--tracker", "lk", "--tracker-weights", "raft.pth"], "the tracker lk takes no weights"),
+        (["experiment", "detection", "--tracker", "diss"], "did you mean dis?"),
         (["run", "--device", "cuda:77"], "there is no device 'cuda:77' here; there is cpu"),
         (["experiment", "autonomy", "--expose", "sideways"], "goal-normal"),
         (["replay", "nowhere"], "nowhere"),
@@ -87,11 +98,12 @@ def test_other_bad_input_gets_one_sentence_and_status_2(monkeypatch, capsys, mot
     assert sentence in said.lower() or sentence in said
 
 
-def test_the_command_line_knows_every_kind_of_exposure():
+def test_the_command_line_knows_every_kind_of_exposure_and_rule():
     assert [kind.value for kind in Expose] == [kind.value for kind in ExposureKind]
+    assert [rule.value for rule in cli.Rule] == [rule.value for rule in Rule]
 
 
-def test_the_choice_of_exposure_and_device_reaches_the_session(monkeypatch, capsys, tmp_path):
+def test_what_is_chosen_of_the_skills_reaches_the_session(monkeypatch, capsys, tmp_path):
     """The run itself is left out: what it would be given is looked at."""
     given = []
 
@@ -102,11 +114,35 @@ def test_the_choice_of_exposure_and_device_reaches_the_session(monkeypatch, caps
     monkeypatch.setattr("supervisor.run.run", stopped)
     where = ["--record", str(tmp_path / "r"), "--view", "none"]
 
-    call(monkeypatch, capsys, "run", "--expose", "goal-normal", "--device", "cpu", *where)
+    how = ["--expose", "goal-normal", "--device", "cpu", "--rule", "elongation", "--cover", "greedy", "--tracker", "lk"]
+    call(monkeypatch, capsys, "run", *how, *where)
     call(monkeypatch, capsys, "run", *where)
 
-    chosen = [(options.exposure, options.device) for options in given]
-    assert chosen == [(ExposureKind.GOAL_NORMAL, "cpu"), (ExposureKind.OPTIMAL, "auto")]
+    chosen = [options.choices for options in given]
+    assert chosen == [Choices(ExposureKind.GOAL_NORMAL, Rule.ELONGATION, "greedy", "lk", None, "cpu"), Choices()]
+
+
+def test_a_learned_trackers_weights_reach_the_session(monkeypatch, capsys, tmp_path):
+    """Nothing is prepared: its package and its file need not be here."""
+    given = []
+
+    def stopped(options):
+        given.append(options.choices)
+        raise InputError("stopped by the test")
+
+    monkeypatch.setattr("supervisor.run.prepare", stopped)
+    where, weights = ["--record", str(tmp_path / "r"), "--view", "none"], tmp_path / "raft.pth"
+
+    call(monkeypatch, capsys, "run", "--tracker", "raft", "--tracker-weights", str(weights), *where)
+    call(monkeypatch, capsys, "run", "--tracker", str(tmp_path / "follow.onnx"), *where)
+
+    assert given == [Choices(tracker="raft", tracker_weights=weights), Choices(tracker=str(tmp_path / "follow.onnx"))]
+    assert not (tmp_path / "r").exists()
+
+
+def test_the_command_line_knows_every_cover():
+    for cover in cli.Cover:
+        assert Choices(cover=cover.value, device="cpu").skills().replan.cover == cover.value
 
 
 def test_the_experiment_is_told_how_to_expose(monkeypatch, capsys, tmp_path):
@@ -123,6 +159,97 @@ def test_the_experiment_is_told_how_to_expose(monkeypatch, capsys, tmp_path):
     call(monkeypatch, capsys, "experiment", "autonomy")
 
     assert [settings.expose for settings in given] == ["naive", "optimal"]
+
+
+# The detection experiment
+
+
+@pytest.fixture
+def made_up(monkeypatch) -> list[detection.Job]:
+    """Its runs are made up instead of run; the jobs that were asked for are listed."""
+    asked: list[detection.Job] = []
+
+    def results(work, jobs, workers):
+        for job in jobs:
+            asked.append(job)
+            yield made_up_run(job.seed, variant=job.variant)
+
+    monkeypatch.setattr(detection.pool, "results", results)
+    return asked
+
+
+def detect(monkeypatch, capsys, *arguments: str) -> tuple[int, str]:
+    """Exit status of the experiment, and all that was printed."""
+    return call(monkeypatch, capsys, "experiment", "detection", *arguments)
+
+
+def test_the_detection_experiment_runs_what_it_is_told_and_writes_figures_and_edges(monkeypatch, capsys, tmp_path, made_up):
+    out = tmp_path / "d.json"
+
+    how = ["--cases", "2", "--seed", "107", "--tracker", "lk", "--compare", "--json", str(out)]
+    status, said = detect(monkeypatch, capsys, *how)
+
+    assert status == 0
+    assert {(job.seed, job.variant) for job in made_up} == {
+        (seed, name) for seed in (107, 108) for name in ("lk", "dis-chained", "elongation")
+    }
+    assert json.loads(out.read_text())["variants"].keys() == {"lk", "dis-chained", "elongation"}
+    assert len(out.with_suffix(".edges.jsonl").read_text().splitlines()) == 6
+    assert out.with_suffix(".trials.jsonl").exists()
+    assert "judged rightly" in said
+
+
+def test_the_detection_experiment_goes_on_after_the_runs_that_ended(monkeypatch, capsys, tmp_path, made_up):
+    how = ["--seed", "107", "--json", str(tmp_path / "d.json")]
+    detect(monkeypatch, capsys, "--cases", "2", *how)
+    made_up.clear()
+
+    status, _ = detect(monkeypatch, capsys, "--cases", "3", *how)
+
+    assert (status, [job.seed for job in made_up]) == (0, [109])
+
+
+def test_without_a_file_for_its_figures_the_detection_experiment_leaves_nothing_but_its_journal(
+    monkeypatch, capsys, tmp_path, made_up
+):
+    monkeypatch.chdir(tmp_path)
+
+    status, _ = detect(monkeypatch, capsys, "--cases", "1")
+
+    assert status == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["detection.trials.jsonl"]
+
+
+def test_an_interrupted_detection_experiment_says_how_to_go_on(monkeypatch, capsys, tmp_path):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(detection, "run_experiment", interrupted)
+
+    status, said = detect(monkeypatch, capsys, "--json", str(tmp_path / "d.json"))
+
+    assert status == 3
+    assert "the same command goes on" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--cases", "0"], "cases"),
+        (["--json", "nowhere/d.json"], "cannot be written"),
+        (["--tracker", "no.onnx"], "cannot be read"),
+    ],
+)
+def test_bad_input_to_the_detection_experiment_gets_one_sentence_and_nothing_is_pulled(
+    monkeypatch, capsys, tmp_path, made_up, arguments, sentence
+):
+    monkeypatch.chdir(tmp_path)
+
+    status, said = detect(monkeypatch, capsys, *arguments)
+
+    assert status == 2
+    assert sentence in said
+    assert made_up == []
 
 
 def test_doctor_says_that_this_machine_can_run_the_stub(monkeypatch, capsys, tmp_path):

@@ -1,5 +1,6 @@
 """Whole sessions on the real stub: recorded, judged, repeatable, and stopped by faults."""
 
+import json
 from dataclasses import fields
 from pathlib import Path
 
@@ -9,15 +10,19 @@ from hardware.codes import Code, InputError
 from hardware.interface import CUTTER, GRASPER
 from hardware.stub.bench import StubBench
 from hardware.stub.scene import load_scene
+from skills.estimate.rule import Rule
 from skills.expose.xpbd import choose_device
+from skills.tracking.choose import TrackerChoice
 from supervisor import topics
 from supervisor.approvers import AutoApprover
+from supervisor.choices import Choices
 from supervisor.history import exposures
 from supervisor.reading import read
+from supervisor.record import Recorder
 from supervisor.replay import timeline
-from supervisor.run import RunOptions, RunResult, exit_status, prepare, run
+from supervisor.run import RunOptions, RunResult, exit_status, header, prepare, run
 from supervisor.session import Session, SessionSetup
-from supervisor.skillset import ExposureKind
+from supervisor.skillset import ExposureKind, SkillConfig
 from supervisor.stub_goal import drawn_goal
 
 
@@ -104,21 +109,110 @@ def test_each_planned_step_is_on_record_once_with_what_came_of_the_pull(ran):
         assert exposure.message == pull["message"] and exposure.area is not None
 
 
-def test_a_straight_pull_leaves_nothing_of_the_controller_on_record(small_scene, tmp_path):
-    chosen = options(small_scene, tmp_path / "record", attempts=1, exposure=ExposureKind.NAIVE)
+def test_a_straight_pull_judged_by_the_papers_rule_is_on_record_with_what_was_expected_and_no_plan(small_scene, tmp_path):
+    choices = Choices(ExposureKind.NAIVE, Rule.ELONGATION, "greedy", "lk")
+    chosen = options(small_scene, tmp_path / "record", attempts=1, choices=choices)
 
     result = run(chosen, *prepare(chosen), AutoApprover())
 
     record = read(tmp_path / "record")
     assert result.exposure == record.header["exposure"] == "naive"
+    assert [record.header[key] for key in ("rule", "cover", "tracker")] == ["elongation", "greedy", "lk"]
     assert not record.topic(topics.EXPOSURE)
     (pull,) = (entry.payload for entry in record.topic(topics.EXPOSED))
-    assert "forecast" not in pull and len(pull["tension"]) == pull["steps"] > 0
+    assert "planned" not in pull
+    assert len(pull["tension"]) == len(pull["forecast"]["separation"]) == pull["steps"] > 0
 
 
-def test_an_unknown_device_is_refused_before_anything_is_made(small_scene, tmp_path):
-    with pytest.raises(InputError, match="there is no device 'gpu9' here"):
-        prepare(options(small_scene, tmp_path / "record", device="gpu9"))
+def test_the_record_of_a_session_names_no_folder_of_this_machine(ran):
+    _, folder = ran
+    record = read(folder / "record")
+
+    written = [path.read_text() for path in (folder / "record").iterdir() if path.suffix in (".json", ".html")]
+    noted = [entry.payload for entries in record.messages.values() for entry in entries]
+    told = json.dumps([record.header, record.outcome, noted], default=str)
+
+    assert len(written) >= 3
+    for text in (*written, told):
+        assert str(folder) not in text
+        assert str(Path.home()) + "/" not in text
+
+
+def test_the_tracker_rule_and_cover_of_an_ordinary_session_are_on_record(ran):
+    _, folder = ran
+    told = read(folder / "record").header
+
+    assert [told[key] for key in ("rule", "cover", "tracker")] == ["likelihood", "optimal", "dis"]
+    skills = told["configuration"]["skills"]
+    assert (skills["rule"], skills["replan"]["cover"]) == ("likelihood", "optimal")
+    assert (skills["choice"]["kind"], skills["choice"]["weights"]) == ("dis", None)
+    assert skills["likelihood"]["weights"]["bed"] > 0
+
+
+def test_choices_become_settings_of_the_skills():
+    weights = Path("nets") / "raft.pth"
+
+    skills = Choices(ExposureKind.GOAL_NORMAL, Rule.ELONGATION, "greedy", "raft", weights, "cpu").skills(threads=3)
+
+    assert (skills.exposure, skills.rule, skills.replan.cover) == (ExposureKind.GOAL_NORMAL, Rule.ELONGATION, "greedy")
+    assert skills.choice == TrackerChoice("raft", str(weights), "cpu")
+    assert (skills.optimal.device, skills.optimal.threads) == ("cpu", 3)
+
+
+def test_nothing_chosen_are_the_defaults_of_the_skills():
+    skills, defaults = Choices(device="cpu").skills(), SkillConfig()
+
+    assert (skills.exposure, skills.rule, skills.replan) == (defaults.exposure, defaults.rule, defaults.replan)
+    assert skills.choice == defaults.choice == TrackerChoice()
+
+
+@pytest.mark.parametrize(
+    ("choice", "tracker", "weights"),
+    [
+        (lambda home: Choices(tracker=str(home / "follow.onnx"), device="cpu"), "follow.onnx", None),
+        (lambda home: Choices(tracker=str(home / "flow.pt2"), device="cpu"), "flow.pt2", None),
+        (lambda home: Choices(tracker="raft", tracker_weights=home / "raft.pth", device="cpu"), "raft", "raft.pth"),
+        (
+            lambda home: Choices(tracker="cotracker3", tracker_weights=Path("scaled.pth"), device="cpu"),
+            "cotracker3",
+            "scaled.pth",
+        ),
+    ],
+    ids=["onnx", "pt2", "weights", "weights here"],
+)
+def test_of_the_users_files_only_the_names_are_on_record(small_scene, tmp_path, choice, tracker, weights):
+    home = tmp_path / "home" / "anna"
+    chosen = options(small_scene, tmp_path / "record", goal_file=home / "goal.json", choices=choice(home))
+    goal = drawn_goal(StubBench(chosen.scene, 4))
+
+    told = header(chosen, SessionSetup(goal, 4, skills=chosen.choices.skills()))
+    recorder = Recorder(tmp_path / "record", told)
+    recorder.close({"record": ""})
+
+    kept = told["configuration"]["skills"]["choice"]
+    assert (told["tracker"], kept["kind"], kept["weights"]) == (tracker, tracker, weights)
+    assert "anna" not in (tmp_path / "record" / "session.json").read_text()
+    assert chosen.choices.skills().choice.kind == chosen.choices.tracker  # the session itself is given the whole path
+
+
+@pytest.mark.parametrize(
+    ("choices", "sentence"),
+    [
+        (Choices(device="gpu9"), "there is no device 'gpu9' here"),
+        (Choices(tracker="diss"), "did you mean dis?"),
+        (Choices(tracker="nowhere.onnx"), "nowhere.onnx"),
+        (Choices(tracker="lk", tracker_weights=Path("raft.pth")), "takes no weights"),
+    ],
+    ids=["device", "tracker", "file", "weights"],
+)
+def test_what_cannot_be_had_here_is_refused_before_anything_is_made(small_scene, tmp_path, monkeypatch, choices, sentence):
+    def made(*_):
+        raise AssertionError("a bench was made")
+
+    monkeypatch.setattr("supervisor.run.StubBench", made)
+
+    with pytest.raises(InputError, match=sentence):
+        prepare(options(small_scene, tmp_path / "record", choices=choices))
     assert not (tmp_path / "record").exists()
 
 

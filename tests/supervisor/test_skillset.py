@@ -1,23 +1,32 @@
-"""What a session's skills tell the gate of the tissue's strain: nought at the reference, readings while pulling, nothing known when blind.
+"""What a session's skills tell the gate of the tissue's strain, and what they keep of a pull to judge the edges by.
 
 The exposure, the gate and the arms are real or mocks with no tissue; tracker, depth and gauge say what the test wants.
 """
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hardware.codes import Code
 from hardware.interface import GRASPER, Array
+from skills.estimate.elongation import ElongationConfig
+from skills.estimate.graph import EdgeState
 from skills.estimate.grid import Grid, grid_around
-from skills.expose.outcome import ExposeOutcome
+from skills.estimate.likelihood import LikelihoodConfig
+from skills.estimate.look import Look
+from skills.estimate.rule import Rule
+from skills.expose.outcome import ExposeOutcome, Forecast
 from skills.grasp import Grasped
 from skills.scene.goal import Goal
 from skills.scene.stereo import DepthMap, Region
 from skills.skill import ImmediateExecutor
+from skills.tracking.choose import TrackerChoice
+from skills.tracking.dis import TrackerDIS
+from skills.tracking.lk import TrackerLK
 from skills.tracking.strain import StrainConfig
 from skills.tracking.tracks import TrackedGoal, Tracks
 from supervisor import skillset
@@ -32,6 +41,24 @@ GRID = grid_around(goal(), 18.0)
 PERIOD, PATIENCE = StrainConfig().period, StrainConfig().patience
 LOOK = SkillConfig().track_period  # [s] between looks of the tracker
 NAN = float("nan")
+CROSSING = np.flatnonzero(GRID.crosses_goal)
+FORECAST = Forecast(CROSSING, *(np.full((35, len(CROSSING)), rho) for rho in (6.0, 2.5, 30.0)), np.full(35, 3.0))
+
+
+class Opening:
+    """What opened so far along every edge [px]: as many tenths as there were looks."""
+
+    def __init__(self, looks: int) -> None:
+        self._width = 0.1 * looks
+
+    def parted(self) -> Array:
+        return np.full(len(GRID.edges), self._width)
+
+    def bed(self) -> Array:
+        return np.full(len(GRID.edges), self._width / 2)
+
+    def decided(self) -> Array:
+        return np.full(len(GRID.edges), self._width / 3)
 
 
 class FollowsNothing:
@@ -39,14 +66,17 @@ class FollowsNothing:
 
     points = GRID.points
 
-    def __init__(self, config: object) -> None:
+    def __init__(self, config: object, tracker: object) -> None:
+        self.made_with = tracker
         self._stamp = 0.0
+        self._looks = 0
 
     def start(self, frame, goal) -> TrackedGoal:
         return self.update(frame)
 
     def update(self, frame) -> TrackedGoal:
         self._stamp = frame.stamp
+        self._looks += 1
         return self.tracked()
 
     def tracked(self) -> TrackedGoal:
@@ -63,14 +93,16 @@ class FollowsNothing:
         count = len(GRID.points)
         return GRID.points, Tracks(self._stamp, self.points, np.ones(count, dtype=bool), np.ones(count)), GRID
 
-    def gaps(self) -> None:
-        return None
+    def gaps(self) -> Opening:
+        return Opening(self._looks)
 
 
 class Session:
     """A goal followed and held; `expose` pulls it, while `readings(t)` is the strain read `t` [s] after the newest reference."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, readings: Callable[[float], float] = lambda t: 0.1) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, readings: Callable[[float], float] = lambda t: 0.1, **settings: Any
+    ) -> None:
         self.table = Table()
         self.bench, self.gate = self.table.bench, self.table.gate
         self.readings = readings
@@ -80,7 +112,7 @@ class Session:
         self.told: list[tuple[float, float]] = []  # bench time [s] and the strain that the gate was told
         self.pulled: list[float] = []  # bench times [s] at which a step was planned
         self._replace_parts(monkeypatch)
-        config = SkillConfig(exposure=ExposureKind.GOAL_NORMAL)
+        config = SkillConfig(**{"exposure": ExposureKind.GOAL_NORMAL} | settings)
         self.skills = SessionSkills(self.gate, config, ImmediateExecutor(), 0, "", None)
         self._hold()
         self.table.finish(self.skills.start_tracking(GOAL))
@@ -138,12 +170,18 @@ class Session:
             self.pulled.append(self.bench.now())
             return 0.5e-3 * np.array([0.6, 0.0, -0.8])
 
+        def foreseen(steering: ScriptedSteering, sight: object, separation: object, executor: object, gaps: object) -> object:
+            monkeypatch.setattr(steering, "forecast", lambda: FORECAST)
+            self.gaps_told = gaps
+            return steering
+
         report = self.gate.report_strain
         monkeypatch.setattr(self.gate, "report_strain", tell)
         monkeypatch.setattr(skillset, "GoalTracker", FollowsNothing)
         monkeypatch.setattr(skillset, "StrainGauge", Gauge)
         monkeypatch.setattr(skillset, "depth_from_stereo", depth)
         monkeypatch.setattr(skillset, "SteeringStraight", lambda *_: ScriptedSteering(steer))
+        monkeypatch.setattr(skillset, "SteeringForeseen", foreseen)
 
     def _hold(self) -> None:
         """Tissue is in the jaws, 3 mm from where they closed."""
@@ -211,7 +249,7 @@ def test_the_tracked_goal_carries_what_was_read(monkeypatch):
     assert session.seen().strain == session.told[-1][1] == session.gate.strain()
     assert np.isfinite(outcome.strain).all()
     assert set(outcome.strain) <= {strain for _, strain in session.told}
-    assert outcome.strain[-1] == pytest.approx(0.1 + 0.02 * (outcome.keyframes[-1] - session.referenced[0]), abs=0.01)
+    assert outcome.strain[-1] == pytest.approx(0.1 + 0.02 * (outcome.stamps[-1] - session.referenced[0]), abs=0.01)
 
 
 def test_a_reading_at_the_limit_ends_the_pull(monkeypatch):
@@ -319,3 +357,174 @@ def test_the_goal_carries_nought_from_the_reference_on(monkeypatch):
         next(gen)
         session.bench.advance(1 / 30)
     assert session.seen().strain == 0.0
+
+
+# What is kept of a pull to judge the edges by
+
+
+@dataclass
+class Judged:
+    """What the estimate was given."""
+
+    looks: list[Look]
+    forecast: Forecast | None
+    config: LikelihoodConfig
+
+
+def judged(session: Session, monkeypatch: pytest.MonkeyPatch) -> Judged:
+    """Estimate, and say on what."""
+    given: list[Judged] = []
+    estimate = skillset.by_likelihood
+
+    def noted(grid, reference, looks, forecast, config):
+        given.append(Judged(list(looks), forecast, config))
+        return estimate(grid, reference, looks, forecast, config)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(skillset, "by_likelihood", noted)
+        session.table.finish(session.skills.estimate())
+    (only,) = given
+    return only
+
+
+def test_a_look_is_kept_once_a_step_and_the_newest_frame_is_looked_at_last(monkeypatch):
+    session = Session(monkeypatch)
+    outcome = session.expose()
+    session.follow(1.0)
+
+    found = judged(session, monkeypatch)
+
+    kept, last = found.looks[:-1], found.looks[-1]
+    steps = [look.step for look in kept]
+    assert len(outcome.path) == 35
+    assert len(steps) > 12 and steps[0] >= 1 and steps[-1] <= 35
+    assert (np.diff(steps) > 0).all()
+    assert (np.diff([look.tracks.stamp for look in kept]) > 0).all()
+    assert last.step == 35
+    assert last.tracks.stamp == session.seen().stamp > kept[-1].tracks.stamp
+
+
+def test_what_opened_is_kept_as_it_was_at_each_look(monkeypatch):
+    session = Session(monkeypatch)
+    session.expose()
+
+    looks = judged(session, monkeypatch).looks
+
+    parted = [look.parted for look in looks]
+    assert {widths.shape for widths in parted} == {(len(GRID.edges),)}
+    assert (np.diff([widths[0] for widths in parted[:-1]]) > 0).all()
+    assert np.array_equal([look.bed for look in looks], np.array(parted) / 2)
+
+
+def test_looks_begin_anew_at_a_new_reference(monkeypatch):
+    session = Session(monkeypatch)
+    session.expose()
+    session.follow(1.0)
+    first = judged(session, monkeypatch).looks
+
+    session.expose()
+    second = judged(session, monkeypatch).looks
+
+    assert len(session.referenced) == 2
+    assert min(look.tracks.stamp for look in second) > session.referenced[1] >= max(look.tracks.stamp for look in first)
+    steps = [look.step for look in second[:-1]]
+    assert steps[0] <= 3 and (np.diff(steps) > 0).all()
+
+
+def test_before_a_pull_and_when_it_has_ended_no_look_is_kept(monkeypatch):
+    session = Session(monkeypatch)
+    session.follow(1.0)
+    assert [look.step for look in judged(session, monkeypatch).looks] == [0]
+    session.expose()
+    pulled = judged(session, monkeypatch).looks
+
+    session.follow(2.0)
+
+    assert [look.step for look in judged(session, monkeypatch).looks] == [look.step for look in pulled]
+
+
+def test_the_forecast_of_the_pull_is_judged_by(monkeypatch):
+    session = Session(monkeypatch, likelihood=LikelihoodConfig(severed=0.9))
+    before = judged(session, monkeypatch)
+    session.expose()
+
+    after = judged(session, monkeypatch)
+
+    assert (before.forecast, after.forecast) == (None, FORECAST)
+    assert after.config == LikelihoodConfig(severed=0.9)
+
+
+def test_what_an_earlier_pull_should_have_done_is_not_expected_of_a_pull_that_did_not_begin(monkeypatch):
+    session = Session(monkeypatch)
+    session.expose()
+    session.skills._agent.grasped = None
+
+    outcome = session.expose()
+
+    assert outcome.code is Code.GRASP_EMPTY
+    assert judged(session, monkeypatch).forecast is None
+
+
+def test_the_pull_is_foreseen_with_the_openings_that_are_decided_so_far(monkeypatch):
+    session = Session(monkeypatch)
+    session.follow(0.5)
+
+    assert np.array_equal(session.gaps_told(), session.skills._tracker.gaps().decided())
+
+
+# What is chosen
+
+
+def stretched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the edges across the goal be 2.5 times as long as while it was closed."""
+    points = GRID.points.copy()
+    points[:, 1] += np.where(GRID.near_side, -0.75, 0.75) * GRID.closed_length
+    monkeypatch.setattr(FollowsNothing, "points", points)
+    monkeypatch.setattr(Opening, "parted", lambda self: np.zeros(len(GRID.edges)))
+    monkeypatch.setattr(Opening, "bed", lambda self: np.zeros(len(GRID.edges)))
+
+
+def test_both_rules_can_be_chosen_and_judge_a_stretched_attachment_differently(monkeypatch):
+    stretched(monkeypatch)
+    graphs = {}
+    for rule in Rule:
+        session = Session(monkeypatch, rule=rule)
+        session.expose()
+        graphs[rule] = session.table.finish(session.skills.estimate())
+
+    assert (graphs[Rule.ELONGATION].state[CROSSING] == EdgeState.SEVERED).all()
+    assert not (graphs[Rule.LIKELIHOOD].state == EdgeState.SEVERED).any()
+
+
+def test_unless_told_otherwise_edges_are_judged_by_the_likelihood(monkeypatch):
+    stretched(monkeypatch)
+    session = Session(monkeypatch)
+    session.expose()
+
+    assert not (session.table.finish(session.skills.estimate()).state == EdgeState.SEVERED).any()
+
+
+def test_the_threshold_of_the_elongation_rule_is_the_one_set(monkeypatch):
+    stretched(monkeypatch)
+    session = Session(monkeypatch, rule=Rule.ELONGATION, elongation=ElongationConfig(tau=2.6))
+    session.expose()
+
+    assert (session.table.finish(session.skills.estimate()).state[CROSSING] == EdgeState.CONNECTED).all()
+
+
+@pytest.mark.parametrize("rule", list(Rule))
+def test_what_would_be_judged_now_is_what_is_estimated(monkeypatch, rule):
+    session = Session(monkeypatch, rule=rule)
+    session.expose()
+
+    now, later = session.skills.judge_now(), session.table.finish(session.skills.estimate())
+
+    assert np.array_equal(now.state, later.state)
+    assert np.array_equal(now.probability, later.probability)
+
+
+@pytest.mark.parametrize(("kind", "made"), [("dis", TrackerDIS), ("lk", TrackerLK)])
+def test_the_goal_is_followed_by_the_tracker_chosen(monkeypatch, kind, made):
+    session = Session(monkeypatch, choice=TrackerChoice(kind))
+
+    assert type(session.skills._tracker.made_with) is made

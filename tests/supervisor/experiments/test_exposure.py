@@ -14,12 +14,14 @@ from hardware.stub.scene import load_scene
 from hardware.stub.truth import severed_between
 from skills.estimate.graph import ConnectivityGraph, EdgeState
 from skills.expose.planner import Objective
+from skills.scene.segments import distances
 from supervisor.cli import main
 from supervisor.experiments import exposure, exposure_charts, exposure_trial
+from supervisor.experiments.dissected import dissected_bench, goal_on_the_cut, rest_coordinates
 from supervisor.experiments.exposure import ExposureSettings, Job, run_experiment, run_job, variants
 from supervisor.experiments.exposure_pictures import HIGH, WIDE, side_by_side, write_panel
 from supervisor.experiments.exposure_summary import STEPS, area_at, area_seen, curve, judgement, matched_areas, summary, tables
-from supervisor.experiments.exposure_trial import GRASP_ALONG, GRASP_AWAY, SEVERED, Setting, draw, judge, rest_coordinates
+from supervisor.experiments.exposure_trial import GRASP_ALONG, GRASP_AWAY, SEVERED, Setting, draw, judge
 
 ALL_RIGHT = {
     "severed": 6,
@@ -134,6 +136,17 @@ def test_rest_coordinates_find_the_material_that_is_seen(half_cut):
 
     # The nearest pixel is at most half a pixel away, which is 0.13 mm wide, and twice that in depth where the view is slanted.
     assert np.abs(found - rest).max() < 0.15e-3
+
+
+@pytest.mark.parametrize("scene", ["silicone", "curved"])
+def test_the_expert_draws_the_goal_along_the_cut_straight_or_curved(scene):
+    bench = dissected_bench(load_scene(scene), [(0.0, 1.0, 1.0)], load_scene(scene).goal.grasp, 200)
+    along, _ = seen_at(bench, bench.scene.line)
+
+    drawn = goal_on_the_cut(bench)
+
+    # Within half a millimetre, four pixels here, of the lips where the tissue was cut; the grasp is where the jaws are, elsewhere.
+    assert distances(drawn.polyline, np.stack([along[:-1], along[1:]], axis=1)).min(axis=1).max() < 4.0
 
 
 def test_judging_agrees_with_the_cut_that_was_made(half_cut):

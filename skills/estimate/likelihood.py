@@ -1,0 +1,189 @@
+"""How likely each edge is severed, from everything seen while the tissue was pulled, against what the tissue model expected of it.
+
+A fixed threshold on length calls a stretched attachment severed, and a severed edge that opened little connected. Here three things are
+weighed. What opened along the edge: an attachment opens nothing, a half cut only a groove, and the bed shows through a full cut alone. Its
+length after every step of the pull, against the length that the model expected of a severed edge and of a strand left alone in its place.
+And whether the two agree: what became long without opening has been mistracked.
+
+The weights are those of a logistic regression on the stub bench, so the probabilities are calibrated there (docs/experiments.md says on
+which seeds). An edge whose ends are hidden for long is unknown, unless it was seen to part before: what has parted does not heal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.interface import Array
+from skills.estimate.elongation import lengthening, verdict
+from skills.estimate.graph import ConnectivityGraph, EdgeState
+from skills.estimate.grid import Grid, lengths
+from skills.estimate.look import Look
+from skills.expose.outcome import Forecast
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Of the evidence, in nats; what is not known adds nothing."""
+
+    bias: float = 0.97
+    parted: float = 1.9  # of an opening of `wide` pixels or more, in proportion below
+    bed: float = 2.5  # of the bed seen through it, `wide` pixels or more, in proportion below
+    groove: float = -1.9  # of an opening that should show the bed by now, were it a full cut's, and does not
+    shorter: float = 1.2  # per nat of the lengths' log-likelihood ratio where it speaks for connected
+    longer: float = 1.2  # and where it speaks for severed, if an opening is seen;
+    longer_whole: float = 0.45  # if none is, a keypoint has rather been mistracked
+    elsewhere: float = -6.0  # edges that do not cross the goal are seldom cut
+
+
+@dataclass(frozen=True)
+class LikelihoodConfig:
+    """When an edge is called severed or connected, and how well lengths are measured and expected."""
+
+    weights: Weights = Weights()
+    severed: float = 0.96  # probability from which an edge is called severed
+    connected: float = 0.25  # up to which it is called connected; between the two it is unknown
+    min_confidence: float = 0.2  # of both ends' tracks
+    max_unknown: float = 0.5  # share of the edges across the goal
+    pixel_error: float = 1.5  # [px], standard deviation of a tracked edge's length
+    model_error: float = 0.3  # of an expected lengthening, relative
+    steepness: float = 5.0  # nats per log of the elongation, where nothing was expected of the length,
+    even: float = 2.0  # and the elongation that speaks for neither there
+    most: float = 3.0  # nats that lengths may speak for either; beyond it the model, not the tissue, is wrong
+    wide: float = 2.0  # [px] of an opening that is no noise
+    hides_bed: float = 3.0  # [px] of an expected opening through which the bed is not seen yet,
+    shows_bed: float = 8.0  # and through which it is
+    lately: float = 0.3  # share of the looks, the last ones: an edge whose ends were not seen together since is unknown,
+    often: float = 0.6  # and so is one that was seen in fewer looks than this share
+    healed: float = 2.0  # [px] of bed seen after which an edge stays severed when its ends are hidden later
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.connected < 0.5 < self.severed <= 1:
+            raise ValueError("an edge must be called connected below one half and severed above it")
+        positive = (self.pixel_error, self.even, self.steepness, self.most, self.wide, self.healed, self.hides_bed)
+        if not (all(value > 0 for value in positive) and self.model_error >= 0 and self.shows_bed > self.hides_bed):
+            raise ValueError("errors, widths and what lengths may say must be positive, and the bed shows after it is hidden")
+        if not all(0 <= share <= 1 for share in (self.min_confidence, self.max_unknown, self.lately, self.often)):
+            raise ValueError("confidence and shares must lie between 0 and 1")
+        if self.weights.groove < -self.weights.parted:
+            raise ValueError("a groove may not speak more for connected than tissue in which nothing opened")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What was seen and expected of each edge, (E,) each; nan where it is not known.
+
+    `parted` and `bed` [px] are the widest opening seen along it and the bed seen through it, `expected` [px] the widest opening that a
+    severed edge would have shown by now, `length` the mean over the looks of the log-likelihood ratio of its length (above 0: severed),
+    `ratio` the elongation when both ends were last seen, `seen` whether that was lately, and often enough.
+    """
+
+    parted: Array
+    bed: Array
+    expected: Array
+    length: Array
+    ratio: Array
+    seen: NDArray[np.bool_]
+
+
+def evidence(
+    grid: Grid, reference: Array, looks: Sequence[Look], forecast: Forecast | None, config: LikelihoodConfig | None = None
+) -> Evidence:
+    """Gather the evidence from `looks`, in order, the last of which is now; see `estimate_connectivity`."""
+    config = config or LikelihoodConfig()
+    measured = [lengthening(grid, reference, look.tracks, config.min_confidence) for look in looks]
+    ratio, seen = _lately(measured, config)
+    expected, length = np.full(len(grid.edges), np.nan), np.full(len(grid.edges), np.nan)
+    if forecast is not None and len(forecast.gap):
+        e = forecast.edges
+        expected[e] = np.fmax.reduce(forecast.gap, axis=0)
+        before = np.minimum(lengths(reference, grid.edges[e]), grid.closed_length)
+        last = len(forecast.gap) - 1
+        terms = []
+        for look, (rho, _) in zip(looks, measured, strict=True):
+            if look.step >= 1:
+                row = min(look.step - 1, last)
+                terms.append(_log_ratio(rho[e], before, forecast.severed[row], forecast.connected[row], config))
+        length[e] = _mean(np.array(terms).reshape(-1, len(e)))
+    return Evidence(looks[-1].parted, looks[-1].bed, expected, length, ratio, seen)
+
+
+def log_odds(found: Evidence, crosses_goal: NDArray[np.bool_], config: LikelihoodConfig | None = None) -> Array:
+    """Of each edge (E,) being severed."""
+    config = config or LikelihoodConfig()
+    w = config.weights
+    parted, bed = (np.clip(np.nan_to_num(width) / config.wide, 0.0, 1.0) for width in (found.parted, found.bed))
+    unexpected = config.steepness * np.log(np.maximum(np.nan_to_num(found.ratio, nan=config.even), 1e-3) / config.even)
+    length = np.clip(np.where(np.isfinite(found.length), found.length, unexpected), -config.most, config.most)
+    longer = np.where(2.0 * parted >= 1.0, w.longer, w.longer_whole)
+    due = np.clip((np.nan_to_num(found.expected) - config.hides_bed) / (config.shows_bed - config.hides_bed), 0.0, 1.0)
+    opened = w.parted * parted + w.bed * bed + w.groove * parted * (1.0 - bed) * due
+    odds = w.bias + opened + np.where(length < 0, w.shorter, longer) * length
+    return np.asarray(odds + np.where(crosses_goal, 0.0, w.elsewhere))
+
+
+def estimate_connectivity(
+    grid: Grid, reference: Array, looks: Sequence[Look], forecast: Forecast | None, config: LikelihoodConfig | None = None
+) -> ConnectivityGraph:
+    """Judge each edge by the evidence of the whole pull.
+
+    Args:
+        grid: the grid made at t_d.
+        reference: (N, 2) pixels of the keypoints at t_d.
+        looks: what was seen on the way, in order; the last one is of t_e.
+        forecast: what the tissue model expected after each step; without it openings and the elongation decide alone.
+        config: weights and thresholds.
+    """
+    config = config or LikelihoodConfig()
+    found = evidence(grid, reference, looks, forecast, config)
+    parted = np.nan_to_num(found.bed) >= config.healed
+    known = found.seen | parted
+    odds = np.clip(log_odds(found, grid.crosses_goal, config), -30.0, 30.0)
+    probability = np.where(known, 1.0 / (1.0 + np.exp(-odds)), 0.5)
+    called = np.where(probability >= config.severed, EdgeState.SEVERED, EdgeState.UNKNOWN)
+    called = np.where(probability <= config.connected, EdgeState.CONNECTED, called)
+    state = np.where(known, called, EdgeState.UNKNOWN).astype(np.int64)
+    code, message = verdict(state[grid.crosses_goal], config.max_unknown)
+    return ConnectivityGraph(
+        code=code,
+        message=message,
+        reference=np.array(reference),
+        points=looks[-1].tracks.points.copy(),
+        edges=grid.edges,
+        elongation=found.ratio,
+        state=state,
+        probability=probability,
+        crosses_goal=grid.crosses_goal,
+        station=grid.station,
+    )
+
+
+def _lately(measured: Sequence[tuple[Array, NDArray[np.bool_]]], config: LikelihoodConfig) -> tuple[Array, NDArray[np.bool_]]:
+    """The newest known elongation (E,) of each edge, and which edges (E,) are seen now, or were until lately and in most looks.
+
+    A highlight that passes over a keypoint at the last moment takes nothing back of what was seen of it before.
+    """
+    seen = np.array([known for _, known in measured])
+    newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
+    ratio = np.array([rho for rho, _ in measured])[newest, np.arange(seen.shape[1])]
+    recent = len(seen) - 1 - newest <= config.lately * len(seen)
+    lately = np.asarray(seen[-1] | (seen.any(axis=0) & recent & (seen.mean(axis=0) >= config.often)))
+    return np.where(lately, ratio, np.nan), lately
+
+
+def _log_ratio(rho: Array, before: Array, severed: Array, connected: Array, config: LikelihoodConfig) -> Array:
+    """Log p(length | severed) - log p(length | connected), (C,), normal; all lengths are given as multiples of `before` (C,) [px]."""
+    now, if_severed, if_connected = rho * before, severed * before, connected * before
+    variance = config.pixel_error**2 + config.model_error**2 * ((if_severed - before) ** 2 + (if_connected - before) ** 2)
+    return np.asarray(np.clip(((now - if_connected) ** 2 - (now - if_severed) ** 2) / (2.0 * variance), -10.0, 10.0))
+
+
+def _mean(rows: Array) -> Array:
+    """Mean over the rows (R, C) of what is known; nan where nothing is."""
+    known = np.isfinite(rows)
+    count = known.sum(axis=0)
+    total = np.where(known, rows, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -1,0 +1,164 @@
+"""Where the tissue of a reference frame is now: chained flow with its drift taken out, for each side of a cut by itself.
+
+The reference is moved along with the chained flow, the new frame is warped back by that, and what is left between the two, a small flow,
+says how far the chain was off: so errors do not add up from frame to frame (compare subset methods of digital image correlation, which
+match a deformed reference). One side of a cut knows nothing of the other, so the jump that opens between them blurs neither. Where the
+warped frame does not look like the reference (a tool, a fold, a highlight), the field is filled from around.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hardware.interface import Array
+from skills.tracking.flow import Field, Flow, FlowBox, box_around, cut_out, sampled
+from skills.tracking.hidden import Mask
+from skills.tracking.picture import Picture
+
+COARSE = 4  # [px]: the field is smooth, so it is smoothed on every fourth pixel
+
+
+@dataclass(frozen=True)
+class AnchorConfig:
+    """Settings of an `Anchor`. Lengths in pixels, likeness as correlation -1..1."""
+
+    margin: float = 20.0  # of the reference around the points
+    radius: int = 6  # of the patches that are compared
+    noise: float = 6.0  # [grey levels] of even pictures: less than this is not texture
+    smoothing: float = 4.0  # of the field where it is not fully trusted; if nothing is around, from farther away
+    doubtful: float = 0.2  # likeness at which a place has no say in the field
+    certain: float = 0.8  # likeness from which it has its full say
+    holds: float = 0.5  # likeness at which a point still shows the reference
+    least: float = 0.3  # likeness below which a point is not seen: 1 in 200 well tracked ones, a fifth of those astray
+    min_holding: float = 0.4  # share of the side's points in view; below it the reference no longer holds
+    min_returned: float = 0.7  # the same where the frame before is no witness; on an unrelated picture a third holds by chance
+    min_followed: float = 0.4  # share of the seen points, for the frame before to be a witness; a quarter is followed by chance
+    min_renewing: float = 0.6  # the same for a new reference to be taken
+
+    def __post_init__(self) -> None:
+        if not (self.margin > 0 and self.radius >= 1 and self.smoothing > 0 and self.doubtful < self.certain):
+            raise ValueError("an anchor needs a margin, a patch, smoothing and doubtful likeness below certain likeness")
+
+
+class Anchor:
+    """The reference of one side. `follow` is called with each new frame; one thread."""
+
+    def __init__(
+        self, picture: Picture, flow: Flow, points: Array, mine: Mask, usable: Mask, tool_mask: Mask | None, config: AnchorConfig
+    ) -> None:
+        """Take `picture` as the reference for those of `points` (N, 2) that are `mine`, where the `usable` ones are seen."""
+        self._flow = flow
+        self._config = config
+        height, width = picture.even.shape
+        self._box = box_around(points[mine & usable], config.margin, (width, height))
+        u0, v0, u1, v1 = self._box
+        u, v = np.meshgrid(np.arange(u0, u1), np.arange(v0, v1))
+        self._pixels = u.astype(np.float32), v.astype(np.float32)
+        known = np.flatnonzero(np.isfinite(points).all(axis=1))
+        _, nearest = cKDTree(points[known]).query(np.column_stack([u.ravel(), v.ravel()]))
+        self._own = mine[known[nearest]].reshape(u.shape)
+        if tool_mask is not None:
+            self._own &= ~tool_mask[v0:v1, u0:u1]
+        self._seen = self._own  # and not under a tool now
+        self._sees, self._even = cut_out(flow.sees(picture), self._box), cut_out(picture.even, self._box)
+        self._field: Field = np.zeros((*u.shape, 2), np.float32)
+        self._before = self._field
+        self._points = points[mine]
+        self._at = self._points - [u0, v0]
+
+    def follow(self, new: Picture, step: FlowBox, moved: Array, found: Mask, tool_mask: Mask | None) -> tuple[Array, Array]:
+        """Follow the reference into `new`: where its points are now (M, 2), and how alike the picture is there (M,) -1..1.
+
+        `step` is the flow from the frame before. If most of the reference is out of sight after it, the side may have sprung away:
+        then it is looked for once more from where single points, `found` (M,) among `moved` (M, 2), were found again.
+        """
+        chained, self._before = self._chained(step, tool_mask), self._field
+        field, alike = self._settled(new, chained, tool_mask)
+        if found.any() and self.holding(alike) < self._config.min_holding:
+            jumps = np.zeros_like(chained)
+            weights = np.zeros(chained.shape[:2], np.float32)
+            at = np.clip(np.rint(self._at[found]).astype(np.int64), 0, [chained.shape[1] - 1, chained.shape[0] - 1])
+            jumps[at[:, 1], at[:, 0]] = moved[found] - self._points[found] - sampled(chained, self._at[found])
+            weights[at[:, 1], at[:, 0]] = 1.0
+            again, alike_again = self._settled(new, chained + _filled(jumps, weights, self._config.smoothing), tool_mask)
+            if self.holding(alike_again) > self.holding(alike):
+                field, alike = again, alike_again
+        self._field = field
+        return self._points + sampled(field, self._at), alike
+
+    def let_go(self) -> None:
+        """Forget the newest frame, which did not show the reference: go on from where it was before."""
+        self._field = self._before
+
+    def holding(self, alike: Array) -> float:
+        """The share of points that still show the reference."""
+        return float((alike >= self._config.holds).mean())
+
+    def _chained(self, step: FlowBox, tool_mask: Mask | None) -> Field:
+        """Move the field on by the flow from the frame before; what a tool hides goes with what is seen around it, not with the tool."""
+        u, v = self._pixels
+        u0, v0 = step.corner.astype(np.float32)
+        before = self._field
+        moves = _read(step.field, u + before[..., 0] - u0, v + before[..., 1] - v0)
+        seen = self._seen if tool_mask is None else self._seen & ~self._under(tool_mask, before + moves)
+        if (seen != self._own).any():
+            trust = np.where(seen, 1.0, 1e-6).astype(np.float32)
+            moves = _filled(np.where(seen[..., None], moves, np.float32(0.0)), trust, self._config.smoothing)
+        return np.asarray(before + moves)
+
+    def _under(self, tool_mask: Mask, field: Field) -> Mask:
+        """Where (H, W) the reference, moved by `field`, lies under a tool."""
+        u, v = self._pixels
+        return np.asarray(cv2.remap(tool_mask.astype(np.uint8), u + field[..., 0], v + field[..., 1], cv2.INTER_NEAREST) != 0)
+
+    def _settled(self, new: Picture, field: Field, tool_mask: Mask | None) -> tuple[Field, Array]:
+        """Correct `field` (H, W, 2) so that the reference fits the new picture; give it, and the points' likeness (M,)."""
+        c = self._config
+        u, v = self._pixels
+        own = self._seen = self._own if tool_mask is None else self._own & ~self._under(tool_mask, field)
+        back = _read(self._flow.sees(new), u + field[..., 0], v + field[..., 1])
+        # What is not this side's tissue is shown as the reference has it: there, nothing pulls.
+        back = np.where(own if back.ndim == 2 else own[..., None], back, self._sees)
+        rest = self._flow.flow(self._sees, back)
+        u0, v0 = self._box[:2]
+        field = rest + _read(field, u - u0 + rest[..., 0], v - v0 + rest[..., 1])
+        even = _read(new.even, u + field[..., 0], v + field[..., 1])
+        alike = _likeness(self._even, even, c.radius, c.noise)
+        trust = np.clip((alike - c.doubtful) / (c.certain - c.doubtful), 1e-3, 1.0)
+        trust = np.where(own, trust, 1e-6).astype(np.float32)
+        return _filled(field, trust, c.smoothing), sampled(np.where(own, alike, 0.0), self._at)
+
+
+def _read(picture: NDArray[Any], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[Any]:
+    return np.asarray(cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _likeness(a: NDArray[np.uint8], b: NDArray[np.uint8], radius: int, noise: float) -> NDArray[np.float32]:
+    """How alike (H, W) the patches around each pixel of two pictures are: `patches.same`, everywhere at once."""
+    x, y, size = a.astype(np.float32), b.astype(np.float32), (2 * radius + 1, 2 * radius + 1)
+    mx, my = cv2.blur(x, size), cv2.blur(y, size)
+    vx = np.maximum(cv2.blur(x * x, size) - mx * mx, 0.0)
+    vy = np.maximum(cv2.blur(y * y, size) - my * my, 0.0)
+    return np.asarray(2.0 * (cv2.blur(x * y, size) - mx * my + noise**2) / (vx + vy + 2.0 * noise**2))
+
+
+def _filled(field: Field, trust: NDArray[np.float32], smoothing: float) -> Field:
+    """Keep `field` (H, W, 2) as far as it is to be trusted, 0..1 (H, W), and fill it smoothly from around for the rest.
+
+    Where nothing near is trusted it is filled from as far as four times `smoothing` [px].
+    """
+    height, width = trust.shape
+    size = (max(1, width // COARSE), max(1, height // COARSE))
+    weights = cv2.resize(trust, size, interpolation=cv2.INTER_AREA)
+    values = cv2.resize(field * trust[..., None], size, interpolation=cv2.INTER_AREA)
+    near, far = smoothing / COARSE, 4.0 * smoothing / COARSE
+    top = cv2.GaussianBlur(values, (0, 0), near) + 1e-3 * cv2.GaussianBlur(values, (0, 0), far)
+    bottom = cv2.GaussianBlur(weights, (0, 0), near) + 1e-3 * cv2.GaussianBlur(weights, (0, 0), far)
+    smooth = cv2.resize(top / (bottom + 1e-12)[..., None], (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(smooth + trust[..., None] * (field - smooth), dtype=np.float32)
