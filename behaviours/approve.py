@@ -40,7 +40,7 @@ class Approve(Leaf):
         if self._asked is not None:
             answer = self.services.approver.answer()
             if answer is None or answer.goal_id != self._asked.goal_id:
-                return self.wait(f"waiting for the operator: {self._asked.reason}")
+                return self.wait(f"waiting for the operator: {first_line(self._asked.reason)}")
         now = self._now()
         if now is None:
             return self.fail(Code.GOAL_LOST, "the goal cannot be seen, so there is nothing to approve")
@@ -72,7 +72,7 @@ class Approve(Leaf):
         self._count += 1
         self._tell("asked", self._asked)
         self.services.approver.request(self._asked)
-        return self.wait(f"asked the operator: {self._asked.reason}")
+        return self.wait(f"asked the operator: {first_line(self._asked.reason)}")
 
     def _heard(self, asked: Proposal, answer: Answer, now: ToCut) -> Status:
         if not answer.approved:
@@ -116,3 +116,8 @@ def scene_moved(asked: Proposal, now: ToCut, limit: float) -> str:
     """Say how far the goal has moved from `asked` if that is beyond `limit` [px] or unknown; empty when it has not."""
     moved = displacement(asked.polyline, now.polyline)
     return "" if moved <= limit else f"the goal has moved by {moved:.0f} px, {limit:.0f} px are allowed"
+
+
+def first_line(reason: str) -> str:
+    """What fits into one line of a status: the operator is asked with all of it."""
+    return reason.splitlines()[0] if reason else ""

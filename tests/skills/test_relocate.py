@@ -1,0 +1,73 @@
+"""A goal that jumped farther than flow can follow is searched for, and only found where it is."""
+
+import numpy as np
+import pytest
+
+from hardware.interface import Array
+from skills.scene.goal import Goal
+from skills.tracking.goal_tracker import GoalTracker
+from skills.tracking.relocate import RelocateConfig, relocate
+from tests.skills.pictures import SIZE, coloured, frame, speckle
+
+ROW = np.column_stack([np.linspace(90.0, 230.0, 16), np.full(16, 110.0)])
+NOTHING_HIDDEN = np.zeros((SIZE[1], SIZE[0]), dtype=bool)
+GOAL = Goal(np.array([[90.0, 120.0], [230.0, 120.0]]), np.array([160.0, 80.0]), SIZE)
+
+
+def moved(texture: Array, by: tuple[int, int]) -> Array:
+    """The texture shifted by (u, v) pixels."""
+    return np.roll(texture, (by[1], by[0]), axis=(0, 1))
+
+
+@pytest.mark.parametrize("by", [(0, 0), (45, 30), (-60, -25)])
+def test_a_row_is_found_where_the_tissue_sprang_to(by):
+    texture = speckle(4)
+
+    found = relocate(coloured(texture, 1.5, 0), coloured(moved(texture, by), 1.5, 1), ROW, NOTHING_HIDDEN, RelocateConfig())
+
+    assert found is not None
+    assert np.abs(found - ROW - by).max() < 1.5
+
+
+def test_a_few_wrong_matches_are_put_aside():
+    texture = speckle(5)
+    picture = coloured(moved(texture, (30, 20)), 1.5, 1)
+    picture[100:160, 150:180] = coloured(speckle(6))[100:160, 150:180]
+
+    found = relocate(coloured(texture, 1.5, 0), picture, ROW, NOTHING_HIDDEN, RelocateConfig())
+
+    assert found is not None
+    assert np.abs(found - ROW - (30, 20)).max() < 3.0
+
+
+def test_on_a_picture_of_something_else_nothing_is_found():
+    assert relocate(coloured(speckle(7)), coloured(speckle(8)), ROW, NOTHING_HIDDEN, RelocateConfig()) is None
+
+
+def test_under_a_tool_nothing_is_found():
+    picture, hidden = coloured(speckle(9)), NOTHING_HIDDEN.copy()
+    hidden[:, 80:210] = True
+
+    assert relocate(picture, picture, ROW, hidden, RelocateConfig()) is None
+
+
+def test_a_lost_goal_is_followed_again_and_its_old_keypoints_stay_unseen():
+    texture, tracker = speckle(10), GoalTracker()
+    tracker.start(frame(coloured(texture, 1.5, 0), 0), GOAL)
+    tracker.mark_reference(frame(coloured(texture, 1.5, 1), 1))
+    sprung = moved(texture, (50, 40))
+
+    seen = [tracker.update(frame(coloured(sprung, 1.5, k), k)) for k in range(2, 9)]
+
+    assert seen[0].lost and not seen[-1].lost
+    assert np.abs(seen[-1].polyline.mean(axis=0) - (160.0 + 50.0, 120.0 + 40.0)).max() < 3.0
+    assert not tracker.grid_tracks()[1].visible.any()
+
+
+def test_a_goal_that_is_nowhere_stays_lost():
+    tracker = GoalTracker()
+    tracker.start(frame(coloured(speckle(11), 1.5, 0), 0), GOAL)
+
+    seen = [tracker.update(frame(coloured(speckle(12), 1.5, k), k)) for k in range(1, 9)]
+
+    assert all(tracked.lost for tracked in seen)
