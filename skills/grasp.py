@@ -19,6 +19,7 @@ class GraspConfig:
     jaw_closed: float = 0.0
     clearance: float = 12e-3  # above the tissue, where the free motion ends
     bite: float = 0.5e-3  # below the surface seen, where the jaws close
+    deeper: float = 0.5e-3  # more for each time that they closed on nothing
     approach_speed: float = 10e-3
     pull_speed: float = 5e-3
     shaft_tilt: float = np.deg2rad(30.0)  # of the shaft from the surface normal, away from the goal
@@ -69,5 +70,7 @@ def take(lease: Lease, point: Array, normal: Array, away: Array, config: GraspCo
     yield from pause(lease, 0.2, "testing the grasp")
     if not lease.tension() >= config.least_tension:
         found = f"a pull of {config.test_pull * 1e3:.0f} mm met {lease.tension():.2f} N"
+        # Empty jaws left over the grasp point would hide it from whoever tries again.
+        yield from wait(lease.move_cp(GRASPER, above), "backing off with empty jaws")
         return MoveReport(MoveStatus.FAILED, Code.GRASP_EMPTY, f"the grasper closed but holds nothing: {found}"), None
     return report, Grasped(origin, normal, config.test_pull, lease.tension())

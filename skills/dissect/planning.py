@@ -6,7 +6,7 @@ moves to its pose, inserts to a fixed depth and closes. Each corrective pass goe
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ class PlanningAgent:
         self._stereo = stereo
         self._executor = executor
         self._depth = config.depth
+        self._misses = 0  # times that the jaws closed on nothing
         self.grasped: Grasped | None = None
         self.clear_view = True
 
@@ -106,7 +107,9 @@ class PlanningAgent:
         normal = surface_normal_at(depth, camera, goal.grasp, 20)
         if not np.isfinite(normal).all():
             return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, "the surface at the grasp point cannot be seen")
-        report, self.grasped = yield from take(lease, point, normal, point - middle, self._grasp)
+        grasp = replace(self._grasp, bite=self._grasp.bite + self._misses * self._grasp.deeper)
+        report, self.grasped = yield from take(lease, point, normal, point - middle, grasp)
+        self._misses += report.code is Code.GRASP_EMPTY
         if self.grasped is None or retraction <= 0.0:
             return report
         direction = retraction_direction(point - middle, normal, self._config.lift)

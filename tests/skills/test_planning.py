@@ -5,6 +5,7 @@ import pytest
 
 from hardware.codes import Code
 from hardware.interface import CUTTER, MoveReport, MoveStatus, Pose
+from skills.dissect import planning
 from skills.dissect.planning import Path, PlanningAgent, PlanningConfig, _on_goal, retraction_direction
 from skills.grasp import GraspConfig, Grasped
 from skills.scene.stereo import StereoConfig
@@ -148,3 +149,21 @@ def test_preempted_in_the_middle_it_leaves_the_arms_holding():
     steps.close()
 
     assert table.bench.holding()
+
+
+def test_after_closing_on_nothing_the_next_bite_is_deeper(monkeypatch):
+    table, cutting, bites = Table(), agent(), []
+
+    def note(lease, point, normal, away, config):
+        bites.append(config.bite)
+        yield from ()
+        return MoveReport(MoveStatus.FAILED, Code.GRASP_EMPTY, "nothing"), None
+
+    monkeypatch.setattr(planning, "take", note)
+    monkeypatch.setattr(planning, "depth_at", lambda depth, pixels, radius: np.full(len(pixels), 0.08))
+    monkeypatch.setattr(planning, "surface_normal_at", lambda *_: np.array([0.0, 0.0, -1.0]))
+    for _ in range(3):
+        table.finish(cutting.take_hold(table.lease, goal(), 0.0))
+
+    config = GraspConfig()
+    assert bites == pytest.approx([config.bite + k * config.deeper for k in range(3)])
