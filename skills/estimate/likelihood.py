@@ -142,7 +142,8 @@ def estimate_connectivity(
     parted = np.nan_to_num(found.bed) >= config.healed
     known = found.seen | parted
     odds = np.clip(log_odds(found, grid.crosses_goal, config), -30.0, 30.0)
-    probability = np.where(known, 1.0 / (1.0 + np.exp(-odds)), 0.5)
+    # What is hidden now is unknown, and nothing is done on it; what is believed of it is still told by what was seen before.
+    probability = 1.0 / (1.0 + np.exp(-odds))
     called = np.where(probability >= config.severed, EdgeState.SEVERED, EdgeState.UNKNOWN)
     called = np.where(probability <= config.connected, EdgeState.CONNECTED, called)
     state = np.where(known, called, EdgeState.UNKNOWN).astype(np.int64)
