@@ -186,7 +186,7 @@ class SessionSkills:
         return self._estimate(self._tracker)
 
     def estimate(self) -> Steps[ConnectivityGraph]:
-        """Judge every edge of the keypoint grid from its elongation since the reference."""
+        """Judge every edge of the keypoint grid by the rule chosen."""
         yield Progress("estimating what is still attached")
         assert self._tracker is not None, "the tree estimates only after tracking has started"
         return (yield from computed(self._executor, "estimating what is still attached", self._estimate, self._tracker))

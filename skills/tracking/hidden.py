@@ -21,9 +21,7 @@ class HiddenConfig:
 
     neighbours: int = 6
     max_hidden: int = 200  # updates before a hidden point is lost for good
-    min_followed: float = (
-        0.4  # share of the seen points that must have been followed for the others to be looked for; chance: 0.25
-    )
+    min_followed: float = 0.4  # share of the seen points that were followed, for others to be looked for; chance: 0.25
     similarity: float = 0.6  # of a hidden point's patch, to count as seen again
     reach: int = 12  # around where the neighbours say that it should be
     min_texture: float = 2.5  # [grey levels] standard deviation; below it a patch has no place of its own

@@ -14,14 +14,14 @@ from hardware.codes import Code
 from hardware.interface import GRASPER, Array
 from skills.estimate.grid import Grid
 from skills.expose import expected, optimal
-from skills.expose.expected import Pulled, likeliest
+from skills.expose.expected import Pulled
 from skills.expose.hypotheses import Hypotheses, SeparationConfig, Stretch
 from skills.expose.model import ModelConfig, TissueModel, build_model
 from skills.expose.optimal import OptimalConfig, SteeringOptimal, View
 from skills.expose.outcome import ExposeOutcome, Planned
 from skills.expose.planner import Objective, Plan, Planner
 from skills.expose.pull import Exposure, PullConfig
-from skills.expose.xpbd import XpbdConfig, XpbdSolver, rest_state
+from skills.expose.xpbd import XpbdConfig
 from skills.grasp import Grasped
 from skills.scene.surface import SurfaceOutcome
 from skills.skill import Progress, Steps
@@ -227,39 +227,6 @@ def test_a_failed_look_forgets_the_run_before(monkeypatch):
 
 def models() -> list[TissueModel]:
     return [build_model(sheet(), GRASP, config) for config in (TISSUE, PLATE)]
-
-
-def met(model: TissueModel, way: Array) -> float:
-    """Tension [N] of `model` after a pull along `way` [m], the goal connected."""
-    steps = max(1, round(float(np.linalg.norm(way)) / 0.5e-3))
-    solver = XpbdSolver(model, 1, steps, threads=1)
-    return float(solver.rollout(rest_state(model), np.broadcast_to(way / steps, (1, steps, 3))).tension[-1, 0])
-
-
-@pytest.mark.parametrize("way", [2e-3 * UP, 6e-3 * ACROSS], ids=["lifted", "retracted"])
-def test_much_force_means_a_plate_and_little_a_membrane(way):
-    membrane, plate = models()
-    little, much = met(membrane, way), met(plate, way)
-
-    assert much > 3 * little
-    for order in ([membrane, plate], [plate, membrane]):
-        assert likeliest(order, Pulled(way, 0.8 * little), XpbdConfig()) is membrane
-        assert likeliest(order, Pulled(way, 1.2 * much), XpbdConfig()) is plate
-
-
-@pytest.mark.parametrize(
-    "pulled",
-    [
-        Pulled(np.zeros(3), 3.0),
-        Pulled(0.1e-3 * UP, 3.0),
-        Pulled(2e-3 * UP, 0.0),
-        Pulled(2e-3 * UP, float("nan")),
-    ],
-    ids=["not pulled", "hardly pulled", "no tension", "tension unknown"],
-)
-def test_where_nothing_is_known_the_first_tissue_is_taken(pulled):
-    for order in (models(), models()[::-1]):
-        assert likeliest(order, pulled, XpbdConfig()) is order[0]
 
 
 @pytest.mark.parametrize(("tension", "stiff"), [(0.02, False), (3.5, True)])
