@@ -18,6 +18,7 @@ from hardware.interface import Image
 from supervisor.history import Interval
 from supervisor.palette import EDGE, GOAL, GRASP
 
+FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', Arial, sans-serif"
 INK, FAINT, GRID = "#27313a", "#6b7780", "#dfe4e8"
 WIDTH = 960  # of the time line, in SVG units
 LANE = 22
@@ -279,3 +280,10 @@ def _svg(width: float, height: float, parts: Iterable[str], title: str) -> str:
     inner = "\n".join(parts)
     label = html.escape(title, quote=True)
     return f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{label}" xmlns="http://www.w3.org/2000/svg">{inner}</svg>'
+
+
+def picture(parts: Iterable[str], title: str, width: int, height: int) -> str:
+    """A chart as a file of its own: it brings its size, its letters, and a ground, since pages with a dark theme would swallow the ink."""
+    size = f'viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img" aria-label="{title}" font-family="{FONT}">'
+    return "\n".join([head, f'<rect width="{width}" height="{height}" rx="6" fill="#fff"/>', *parts, "</svg>"])

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from supervisor.charts import FAINT, GRID, INK, box, rule, text
+from supervisor.charts import FAINT, GRID, INK, box, picture, rule, text
 from supervisor.experiments.statistics import wilson
 
 WIDTH, HEIGHT = 900, 470
@@ -21,7 +21,6 @@ TOP = 46
 BOTTOM = TOP + SIDE
 BARS = 44  # height of the counts below a diagram
 PANELS = {None: (64, "all edges", "#2f8f7d"), "goal_edges": (520, "edges across the goal", "#c98a1b")}
-FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', Arial, sans-serif"
 
 
 def reliability_chart(figures: dict[str, Any]) -> str:
@@ -30,7 +29,7 @@ def reliability_chart(figures: dict[str, Any]) -> str:
     for key, (left, name, colour) in PANELS.items():
         part = figures if key is None else figures[key]
         parts += _panel(left, name, colour, part["reliability"], part["brier"])
-    return _svg(parts, "Reliability of the probability that an edge is severed")
+    return picture(parts, "Reliability of the probability that an edge is severed", WIDTH, HEIGHT)
 
 
 def write(figures: dict[str, Any], folder: Path) -> Path:
@@ -71,13 +70,6 @@ def _panel(left: float, name: str, colour: str, bins: Sequence[dict[str, Any]], 
         parts.append(box(start + 2, BOTTOM + BARS + 6 - high, thick - 4, high, GRID))
         parts.append(text(start + thick / 2, BOTTOM + BARS + 2, f"{entry['count']}", anchor="middle", size=10, colour=INK))
     return parts
-
-
-def _svg(parts: Sequence[str], title: str) -> str:
-    # A ground of its own: pages with a dark theme would swallow the ink.
-    size = f'viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img" aria-label="{title}" font-family="{FONT}">'
-    return "\n".join([head, f'<rect width="{WIDTH}" height="{HEIGHT}" rx="6" fill="#fff"/>', *parts, "</svg>"])
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from supervisor.charts import FAINT, GRID, INK, box, rule, text, ticks
+from supervisor.charts import FAINT, GRID, INK, box, picture, rule, text, ticks
 
 METHODS = {  # name in the JSON: (name in words, colour)
     "optimal": ("planned", "#2f8f7d"),
@@ -18,7 +18,6 @@ METHODS = {  # name in the JSON: (name in words, colour)
 }
 WIDTH, HEIGHT = 900, 330
 TOP, BOTTOM = 46, 258  # of the panels
-FONT = "system-ui, -apple-system, 'Segoe UI', 'Liberation Sans', Arial, sans-serif"
 
 Scale = Callable[[float], float]
 
@@ -38,7 +37,7 @@ def curves_chart(figures: dict[str, Any]) -> str:
         colour = METHODS["optimal"][1]
         parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="{colour}" stroke="#fff" stroke-width="1.5"/>')
     parts += _legend(f"band: one standard error of {figures['trials']} trials; dot: where the planned pull stops by itself")
-    return _svg(parts, "Area seen and edges judged rightly over the pull")
+    return picture(parts, "Area seen and edges judged rightly over the pull", WIDTH, HEIGHT)
 
 
 def angle_chart(figures: dict[str, Any]) -> str:
@@ -65,7 +64,7 @@ def angle_chart(figures: dict[str, Any]) -> str:
             if name != "naive_normal" and ratio is not None:
                 parts.append(text(x + thick / 2, y(value) - 5, f"× {ratio:.1f}", anchor="middle", size=11))
     parts += _legend("×: times the naive area")
-    return _svg(parts, "Area seen by the angle between grasp and goal normal")
+    return picture(parts, "Area seen by the angle between grasp and goal normal", WIDTH, HEIGHT)
 
 
 def write(figures: dict[str, Any], folder: Path) -> list[Path]:
@@ -141,13 +140,6 @@ def _legend(note: str) -> list[str]:
         parts += [box(at, HEIGHT - 21, 11, 11, colour), text(at + 17, HEIGHT - 11, name, colour=INK)]
         at += 34 + 6.6 * len(name)
     return [*parts, text(888, HEIGHT - 11, note, anchor="end", colour=FAINT, size=11)]
-
-
-def _svg(parts: Sequence[str], title: str) -> str:
-    # A ground of its own: pages with a dark theme would swallow the ink.
-    size = f'viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img" aria-label="{title}" font-family="{FONT}">'
-    return "\n".join([head, f'<rect width="{WIDTH}" height="{HEIGHT}" rx="6" fill="#fff"/>', *parts, "</svg>"])
 
 
 def main(arguments: Sequence[str]) -> int:
