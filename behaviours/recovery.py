@@ -38,6 +38,7 @@ _TABLE = {
     # The tools hide the goal while they cut; exposing moves them out of sight, and another pull may show more.
     Code.GOAL_LOST: Recovery.LOOK,
     Code.DEPTH_INVALID: Recovery.LOOK,
+    Code.SURFACE_INVALID: Recovery.LOOK,
     Code.TOO_MANY_UNKNOWN: Recovery.LOOK,
     # Without tissue in the jaws nothing can be exposed; dissecting grasps anew.
     Code.GRASP_EMPTY: Recovery.RETRY,

@@ -20,7 +20,7 @@ from behaviours.session_outcome import SessionOutcome
 from hardware.codes import Code
 from hardware.gate import Decision, Limits, SafetyGate
 from hardware.interface import Bench
-from skills.estimate.elongation import attachments
+from skills.estimate.stretches import attachments
 from skills.expose.optimal import View as ExposureView
 from skills.scene.goal import Goal
 from skills.skill import ImmediateExecutor

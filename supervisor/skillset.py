@@ -25,6 +25,7 @@ from skills.estimate.likelihood import LikelihoodConfig
 from skills.estimate.likelihood import estimate_connectivity as by_likelihood
 from skills.estimate.look import Look
 from skills.estimate.rule import Rule
+from skills.estimate.stretches import located
 from skills.expose.foreseen import SteeringForeseen
 from skills.expose.optimal import OptimalConfig, SteeringOptimal, View, sight_config
 from skills.expose.outcome import ExposeOutcome
@@ -99,6 +100,7 @@ class SessionSkills:
         self._due = -np.inf
         self._gauge: StrainGauge | None = None
         self._looks: list[Look] = []  # at the grid's keypoints, since the newest reference
+        self._goal_length: float | None = None  # [m] at the newest reference
         self._strain, self._strain_seen, self._strain_due = float("nan"), -np.inf, -np.inf
         self._park: Pose | None = None
         self.frame: Frame | None = None
@@ -216,6 +218,7 @@ class SessionSkills:
         if grid is None:
             return
         self._looks = []
+        self._goal_length = self._measured_length()
         self._gauge = StrainGauge(grid, self._depth(grid.points), self._gate.bench.endoscope.camera, self._config.strain)
         self._strain, self._strain_seen = 0.0, self._gate.bench.now()
         self._gate.report_strain(0.0, self._strain_seen)
@@ -243,7 +246,7 @@ class SessionSkills:
     def _look_now(self, tracker: GoalTracker) -> Look:
         gaps = tracker.gaps()
         assert gaps is not None, "there is a look at the grid only after the reference"
-        return Look(self._exposure.steps_done, tracker.grid_tracks()[1], gaps.parted(), gaps.bed())
+        return Look(self._exposure.steps_done, tracker.grid_tracks()[1], tracker.placed(), gaps.parted(), gaps.bed())
 
     def _depth(self, points: Array) -> DepthMap:
         """Stereo depth around `points` (N, 2), those that are finite; of the whole picture if none is."""
@@ -274,12 +277,13 @@ class SessionSkills:
         config, image = self._config, self.frame.image
         outline = tissue_outline(tissue_mask(image, config.tissue) | hidden_mask(image, config.tissue))
         seen = self._tracker.grid_tracks()[1].visible
-        return next_goal(graph, self._tracked, config.replan, self._rng, outline, seen, self._goal_length())
+        return next_goal(graph, self._tracked, config.replan, self._rng, outline, seen, graph.goal_length)
 
-    def _goal_length(self) -> float | None:
+    def _measured_length(self) -> float | None:
         """Length [m] of the goal as tracked, by stereo along its nearer and its farther row; None where too little depth is seen."""
-        assert self._tracked is not None
-        rows = [self._tracked.near, self._tracked.far]
+        assert self._tracker is not None
+        tracked = self._tracker.tracked()
+        rows = [tracked.near, tracked.far]
         depth, camera = self._depth(np.vstack(rows)), self._gate.bench.endoscope.camera
         lengths = []
         for row in rows:
@@ -293,6 +297,7 @@ class SessionSkills:
     def _estimate(self, tracker: GoalTracker) -> ConnectivityGraph:
         reference, tracks, grid = tracker.grid_tracks()
         if self._config.rule is Rule.ELONGATION:
-            return by_elongation(grid, reference, tracks, self._config.elongation)
+            return located(by_elongation(grid, reference, tracks, self._config.elongation), self._goal_length)
         looks = [*self._looks, self._look_now(tracker)]
-        return by_likelihood(grid, reference, looks, self._exposure.forecast(), self._config.likelihood)
+        graph = by_likelihood(grid, reference, looks, self._exposure.forecast(), self._config.likelihood)
+        return located(graph, self._goal_length)

@@ -43,7 +43,7 @@ def estimate_connectivity(
         config: threshold and what counts.
     """
     config = config or ElongationConfig()
-    rho, known = lengthening(grid, reference, tracks, config.min_confidence)
+    rho, known = lengthening(grid, reference, tracks.points, trusted(tracks, config.min_confidence))
     ratio = np.where(known, rho, config.tau)
     severed = known & (ratio >= config.tau)
     # Smooth and monotone in rho, one half at tau and for what is unknown.
@@ -65,36 +65,21 @@ def estimate_connectivity(
     )
 
 
-def lengthening(grid: Grid, reference: Array, tracks: Tracks, min_confidence: float) -> tuple[Array, NDArray[np.bool_]]:
-    """The ratio rho (E,) of each edge since t_d, nan where it is not known, and where (E,) it is: both ends seen, with confidence."""
-    before, after = lengths(reference, grid.edges), lengths(tracks.points, grid.edges)
+def trusted(tracks: Tracks, min_confidence: float) -> NDArray[np.bool_]:
+    """Which keypoints (N,) are seen, with confidence."""
+    return np.asarray(tracks.visible & (tracks.confidence >= min_confidence))
+
+
+def lengthening(grid: Grid, reference: Array, points: Array, known: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+    """The ratio rho (E,) of each edge since t_d, nan where it is not known, and where (E,) it is: the places of both ends are `known`.
+
+    `reference` (N, 2) are the keypoints at t_d and `points` (N, 2) the same now [px].
+    """
+    before, after = lengths(reference, grid.edges), lengths(points, grid.edges)
     # A cut that is open already at t_d has been stretched before the reference was taken: its edges count from the closed cut.
     before = np.where(grid.crosses_goal, np.minimum(before, grid.closed_length), before)
-    trusted = tracks.visible & (tracks.confidence >= min_confidence) & np.isfinite(tracks.points).all(axis=1)
-    known = trusted[grid.edges].all(axis=1) & (before > 1e-6) & np.isfinite(after)
-    return np.where(known, after / np.where(known, before, 1.0), np.nan), known
-
-
-def attachments(graph: ConnectivityGraph) -> list[tuple[float, float]]:
-    """Stretches (start, end) of the goal, 0..1, over which tissue still bridges it: runs of connected edges that cross the goal.
-
-    Each reaches half an edge's spacing to either side. An unknown edge between connected ones belongs to their run; unknown edges
-    alone are no attachment, though they keep the goal from being complete.
-    """
-    crossing = np.flatnonzero(graph.crosses_goal)
-    if not len(crossing):
-        return []
-    order = crossing[np.argsort(graph.station[crossing], kind="stable")]
-    station, state = graph.station[order], graph.state[order]
-    half = float(np.median(np.diff(station))) / 2 if len(station) > 1 else 0.0
-    severed = state == EdgeState.SEVERED
-    run_of = np.cumsum(severed)
-    runs = []
-    for run in np.unique(run_of[~severed]):
-        connected = station[(run_of == run) & (state == EdgeState.CONNECTED)]
-        if len(connected):
-            runs.append((float(max(connected[0] - half, 0.0)), float(min(connected[-1] + half, 1.0))))
-    return runs
+    measured = known[grid.edges].all(axis=1) & (before > 1e-6) & np.isfinite(after)
+    return np.where(measured, after / np.where(measured, before, 1.0), np.nan), measured
 
 
 def verdict(crossing: NDArray[np.int64], max_unknown: float) -> tuple[Code, str]:

@@ -220,11 +220,12 @@ def _pass_under(mask: NDArray[np.bool_], ends: Array) -> NDArray[np.bool_]:
 
 def _longest_run(dark: NDArray[np.bool_]) -> Array:
     """Length (E,) of the longest run of True in each row (E, T)."""
-    run = np.zeros(len(dark))
     longest = np.zeros(len(dark))
-    for column in dark.T:
-        run = np.where(column, run + 1.0, 0.0)
-        longest = np.maximum(longest, run)
+    some = dark.any(axis=1)
+    if some.any():
+        place = np.arange(1, dark.shape[1] + 1, dtype=np.int32)
+        since = np.maximum.accumulate(np.where(dark[some], np.int32(0), place), axis=1)
+        longest[some] = (place - since).max(axis=1)
     return longest
 
 

@@ -24,7 +24,8 @@ class ConnectivityGraph:
 
     `reference` and `points` (N, 2) pixels at t_d and t_e; `edges` (E, 2) int indices; `elongation` (E,) the ratio rho (nan if
     unknown); `state` (E,) of EdgeState; `probability` (E,) that the edge is severed; `crosses_goal` (E,) bool; `station` (E,)
-    position along the goal 0..1 of edges that cross it (nan elsewhere).
+    position along the goal 0..1 of edges that cross it (nan elsewhere); `goal_length` [m] of the goal at t_d, None where too little
+    depth was seen.
     """
 
     code: Code
@@ -37,6 +38,7 @@ class ConnectivityGraph:
     probability: Array
     crosses_goal: NDArray[np.bool_]
     station: Array
+    goal_length: float | None = None
 
     @property
     def uncut(self) -> NDArray[np.bool_]:

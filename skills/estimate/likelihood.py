@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array
-from skills.estimate.elongation import lengthening, verdict
+from skills.estimate.elongation import lengthening, trusted, verdict
 from skills.estimate.graph import ConnectivityGraph, EdgeState
 from skills.estimate.grid import Grid, lengths
 from skills.estimate.look import Look
@@ -94,7 +94,7 @@ def evidence(
 ) -> Evidence:
     """Gather the evidence from `looks`, in order, the last of which is now; see `estimate_connectivity`."""
     config = config or LikelihoodConfig()
-    measured = [lengthening(grid, reference, look.tracks, config.min_confidence) for look in looks]
+    measured = [_measured(grid, reference, look, config) for look in looks]
     ratio, seen = _lately(measured, config)
     expected, length = np.full(len(grid.edges), np.nan), np.full(len(grid.edges), np.nan)
     if forecast is not None and len(forecast.gap):
@@ -160,6 +160,20 @@ def estimate_connectivity(
         crosses_goal=grid.crosses_goal,
         station=grid.station,
     )
+
+
+def _measured(grid: Grid, reference: Array, look: Look, config: LikelihoodConfig) -> tuple[Array, NDArray[np.bool_]]:
+    """The elongation (E,) of each edge at one look, nan where it is not known, and where (E,) it is.
+
+    Across the goal both ends must be seen. An edge beside it lies on one side, whose tissue takes along what is not recognised; there
+    it is enough that both ends have a place and that the line between them was looked along for an opening.
+    """
+    seen, placed = (
+        lengthening(grid, reference, look.tracks.points, known)
+        for known in (trusted(look.tracks, config.min_confidence), look.placed)
+    )
+    across = grid.crosses_goal
+    return np.where(across, seen[0], placed[0]), np.where(across, seen[1], placed[1] & np.isfinite(look.parted))
 
 
 def _lately(measured: Sequence[tuple[Array, NDArray[np.bool_]]], config: LikelihoodConfig) -> tuple[Array, NDArray[np.bool_]]:

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hardware.interface import Array
 from skills.tracking.tracks import Tracks
 
@@ -10,10 +13,12 @@ from skills.tracking.tracks import Tracks
 class Look:
     """After `step` steps of the pull: the keypoints, and what opened along each edge so far, (E,) [px].
 
-    `parted` is the widest opening, `bed` the widest that showed the bed (`GapWatch`); nan where it could not be looked for.
+    `placed` (N,) are the keypoints whose place is known, seen or not. `parted` is the widest opening, `bed` the widest that showed the
+    bed (`GapWatch`); nan where it could not be looked for.
     """
 
     step: int
     tracks: Tracks
+    placed: NDArray[np.bool_]
     parted: Array
     bed: Array

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from skills.estimate.elongation import attachments
 from skills.estimate.graph import ConnectivityGraph, EdgeState
+from skills.estimate.stretches import attachments
 
 
 def what_is_cut(graph: ConnectivityGraph, planned: NDArray[np.int64], cuts: int) -> str:

@@ -36,7 +36,7 @@ class TissueConfig:
     smallest_tool: int = 300  # [px^2]
     tool_margin: int = 5  # [px] added around tools
     glare: float = 230.0  # of the smallest channel, 0..255: the sensor is saturated, and nothing is seen of what lies below
-    glare_margin: int = 16  # [px] added around it: a highlight is soft at its border, and moves over the tissue
+    glare_margin: int = 6  # [px] added around it: a highlight is soft at its border, and moves over the tissue
 
 
 def tissue_mask(image: Image, config: TissueConfig | None = None) -> Mask:

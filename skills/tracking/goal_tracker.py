@@ -14,6 +14,7 @@ from skills.scene.goal import Goal
 from skills.scene.polyline import arc_lengths, left_normals, resample, side_of
 from skills.scene.tissue import TissueConfig, hidden_mask, tissue_mask
 from skills.tracking.dis import TrackerDIS
+from skills.tracking.placed import neighbours, placed
 from skills.tracking.relocate import RelocateConfig, relocate
 from skills.tracking.rows import RowConfig, smooth_row
 from skills.tracking.stepwise import TrackerConfig
@@ -80,7 +81,8 @@ class GoalTracker:
             tracked = self._relocated(frame, hidden) or tracked
         if self._gaps is not None:
             part = self._grid_part()
-            self._gaps.look(frame.image, self._beside_the_goal(part), part.visible, hidden)
+            self._placed = placed(part, self._neighbours, hidden, hidden.shape[::-1])
+            self._gaps.look(frame.image, self._beside_the_goal(part), self._placed, hidden)
         return tracked
 
     def tracked(self) -> TrackedGoal:
@@ -101,6 +103,8 @@ class GoalTracker:
         if not tracked.lost:
             self._known["reference"] = frame.image, tracked
         self._gaps = GapWatch(frame.image, self._grid.points, self._grid.edges, self._grid.crosses_goal, self.config.between)
+        self._neighbours = neighbours(self._grid.points, self._grid.near_side)
+        self._placed = self._grid_part().visible
         self._read()
         return self._grid
 
@@ -111,6 +115,10 @@ class GoalTracker:
     def gaps(self) -> GapWatch | None:
         """Give what opened along each edge of the grid since t_d; None before the first reference."""
         return self._gaps
+
+    def placed(self) -> NDArray[np.bool_]:
+        """Which keypoints (N,) of the grid have a known place now (`skills.tracking.placed`)."""
+        return self._placed.copy()
 
     def grid_tracks(self) -> tuple[Array, Tracks, Grid]:
         """Give the keypoints at t_d (N, 2), where they are now, and the grid.

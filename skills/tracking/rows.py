@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,14 @@ def _running_median(values: Array, usable: NDArray[np.bool_], window: int) -> Ar
 
 def _whittaker(values: Array, weights: Array, config: RowConfig) -> Array:
     """Minimise sum w |z - y|^2 + tension |D z|^2 + stiffness |D^2 z|^2 over z (M, 2)."""
-    identity = np.eye(len(values))
+    system = _penalty(len(values), config).copy()
+    np.fill_diagonal(system, system.diagonal() + weights)
+    return np.asarray(np.linalg.solve(system, weights[:, None] * values))
+
+
+@lru_cache(maxsize=16)
+def _penalty(count: int, config: RowConfig) -> Array:
+    """The matrix (M, M) of both penalties, for a row of `count` points."""
+    identity = np.eye(count)
     first, second = np.diff(identity, axis=0), np.diff(identity, 2, axis=0)
-    system = np.diag(weights) + config.tension * first.T @ first + config.stiffness * second.T @ second
-    return np.asarray(np.linalg.solve(system + 1e-9 * identity, weights[:, None] * values))
+    return config.tension * first.T @ first + config.stiffness * second.T @ second + 1e-9 * identity

@@ -29,6 +29,11 @@ def test_a_lost_grasp_is_taken_anew_and_an_unfinished_cut_is_looked_at() -> None
     assert recovery(Code.STEP_TOO_LONG) is Recovery.LOOK
 
 
+@pytest.mark.parametrize("code", [Code.DEPTH_INVALID, Code.SURFACE_INVALID, Code.GOAL_LOST, Code.TOO_MANY_UNKNOWN])
+def test_what_one_picture_did_not_show_is_looked_at_once_more(code: Code) -> None:
+    assert recovery(code) is Recovery.LOOK
+
+
 def test_of_several_failures_the_newest_is_told() -> None:
     old, new, fine = (
         StepResult(1.0, Code.TENSION, "an old one"),

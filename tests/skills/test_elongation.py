@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware.codes import Code
-from skills.estimate.elongation import ElongationConfig, attachments, estimate_connectivity
+from skills.estimate.elongation import ElongationConfig, estimate_connectivity
 from skills.estimate.graph import ConnectivityGraph, EdgeState
 from skills.estimate.grid import Grid, GridConfig, grid_around
+from skills.estimate.stretches import attachments
 from skills.tracking.tracks import Tracks
 from tests.skills.goals import straight, tracked_goal
 

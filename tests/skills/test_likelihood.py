@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hardware.codes import Code
 from hardware.interface import Array
 from skills.estimate import elongation
-from skills.estimate.elongation import attachments
 from skills.estimate.graph import ConnectivityGraph, EdgeState
 from skills.estimate.grid import Grid, GridConfig, grid_around, lengths
 from skills.estimate.likelihood import Evidence, LikelihoodConfig, Weights, estimate_connectivity, evidence, log_odds
 from skills.estimate.look import Look
+from skills.estimate.stretches import attachments
 from skills.expose.outcome import Forecast
 from skills.tracking.tracks import Tracks
 from tests.skills.goals import straight, tracked_goal
@@ -68,9 +68,14 @@ def openings(across: Numbers) -> Array:
     return widths
 
 
+def seen_at(step: int, found: Tracks, parted: Array, bed: Array) -> Look:
+    """A look at which what is not seen has no place either."""
+    return Look(step, found, found.visible, parted, bed)
+
+
 def unopened(step: int, rho: Numbers) -> Look:
     """A look at edges that are `rho` times as long and opened nothing."""
-    return Look(step, tracks(keypoints(rho)), openings(0.0), openings(0.0))
+    return seen_at(step, tracks(keypoints(rho)), openings(0.0), openings(0.0))
 
 
 def pulled(rho: Numbers, parted: Numbers = 0.0, bed: Numbers = 0.0, hidden: Array | None = None) -> list[Look]:
@@ -81,7 +86,7 @@ def pulled(rho: Numbers, parted: Numbers = 0.0, bed: Numbers = 0.0, hidden: Arra
     looks = []
     for step, along in enumerate(ramp(rho), start=1):
         share, out = step / STEPS, hidden if step > STEPS / 2 else None
-        looks.append(Look(step, tracks(keypoints(along), out), openings(share * parted), openings(share * bed)))
+        looks.append(seen_at(step, tracks(keypoints(along), out), openings(share * parted), openings(share * bed)))
     return looks
 
 
@@ -416,7 +421,7 @@ def test_a_rigid_motion_of_the_view_severs_nothing():
     angle, middle = np.deg2rad(35.0), np.array([320.0, 240.0])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     looks = [
-        Look(step, tracks((GRID.points - middle) @ turn + middle + 3.0 * step), openings(0.0), openings(0.0))
+        seen_at(step, tracks((GRID.points - middle) @ turn + middle + 3.0 * step), openings(0.0), openings(0.0))
         for step in (1, 2, 3)
     ]
 
@@ -439,7 +444,7 @@ def test_a_curved_goal_that_straightens_severs_nothing(across):
     expected = Forecast(crossing, rho[None] + 1.5, rho[None], rho[None] - 1.0, np.ones(1))
     none = np.zeros(len(grid.edges))
 
-    graph = estimate_connectivity(grid, grid.points, [Look(1, tracks(points), none, none)], expected)
+    graph = estimate_connectivity(grid, grid.points, [seen_at(1, tracks(points), none, none)], expected)
 
     assert not (graph.state == EdgeState.SEVERED).any()
     assert (graph.state[crossing] == EdgeState.CONNECTED).mean() > 0.9
@@ -498,7 +503,7 @@ def test_an_edge_away_from_the_goal_that_gapes_to_the_bed_and_became_very_long_i
     a, b = GRID.edges[parted]
     points[b] = points[a] + 12.0 * (points[b] - points[a])
 
-    graph = judge([Look(STEPS, tracks(points), gap, gap)], None)
+    graph = judge([seen_at(STEPS, tracks(points), gap, gap)], None)
 
     assert graph.probability[parted] > 0.8
     assert graph.state[parted] != EdgeState.CONNECTED
@@ -657,3 +662,30 @@ def test_a_groove_is_never_less_likely_a_cut_than_tissue_that_opened_nothing():
 def test_settings_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ValueError):
         LikelihoodConfig(**wrong)
+
+
+def unrecognised(which: Array, placed: bool) -> list[Look]:
+    """Looks at tissue in which nothing opens, where the keypoints `which` are never seen, but may be `placed`."""
+    found = tracks(keypoints(1.2), which)
+    place = np.ones(len(GRID.points), dtype=bool) if placed else found.visible
+    return [Look(step, found, place, openings(0.0), openings(0.0)) for step in range(1, STEPS + 1)]
+
+
+def test_beside_the_goal_a_place_is_enough_across_it_the_ends_must_be_seen() -> None:
+    inner = GRID.edges[CROSSING[COUNT // 2]][:1]
+    touched = np.isin(GRID.edges, inner).any(axis=1)
+
+    graph, nowhere = judge(unrecognised(inner, placed=True)), judge(unrecognised(inner, placed=False))
+
+    beside = touched & ~GRID.crosses_goal
+    assert beside.any() and (graph.state[beside] == EdgeState.CONNECTED).all()
+    assert (graph.state[touched & GRID.crosses_goal] == EdgeState.UNKNOWN).all()
+    assert (nowhere.state[touched] == EdgeState.UNKNOWN).all()
+
+
+def test_beside_the_goal_nothing_is_said_where_nobody_could_look_for_an_opening() -> None:
+    inner = GRID.edges[CROSSING[COUNT // 2]][:1]
+    blind = np.where(np.isin(GRID.edges, inner).any(axis=1), np.nan, openings(0.0))
+    looks = [replace(look, parted=blind, bed=blind) for look in unrecognised(inner, placed=True)]
+
+    assert (judge(looks).state[np.isnan(blind)] == EdgeState.UNKNOWN).all()

@@ -89,6 +89,9 @@ class FollowsNothing:
     def grid(self) -> Grid:
         return GRID
 
+    def placed(self):
+        return np.ones(len(GRID.points), dtype=bool)
+
     def grid_tracks(self) -> tuple[Array, Tracks, Grid]:
         count = len(GRID.points)
         return GRID.points, Tracks(self._stamp, self.points, np.ones(count, dtype=bool), np.ones(count)), GRID
@@ -337,8 +340,9 @@ def test_depth_is_measured_around_the_keypoints_that_are_finite(monkeypatch):
     session.expose()
 
     margin = StrainConfig().margin
-    assert len(session.regions) == len(session.told)
-    for region, around in ((session.regions[0], GRID.points), (session.regions[-1], points[1:])):
+    # The first is that of the goal's length at t_d.
+    assert len(session.regions) == len(session.told) + 1
+    for region, around in ((session.regions[1], GRID.points), (session.regions[-1], points[1:])):
         assert np.abs(np.array(region[:2]) - (around.min(axis=0) - margin)).max() <= 1.0
         assert np.abs(np.array(region[2:]) - (around.max(axis=0) + margin)).max() <= 2.0
 
