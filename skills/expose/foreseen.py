@@ -39,6 +39,11 @@ class SteeringForeseen:
         self._expected: Expected | None = None
         self._from = np.zeros(3)
 
+    @property
+    def turns(self) -> bool:
+        """As the steering does."""
+        return self._steering.turns
+
     def begin(self, lease: Lease, goal: TrackedGoal, grid: Grid, grasped: Grasped) -> Steps[Stop | None]:
         """Let the steering get ready, and build the model."""
         self._expected = None

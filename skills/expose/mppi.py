@@ -32,7 +32,7 @@ class MppiConfig:
     horizon: int = 8  # h, steps
     sigma: float = 0.25e-3  # standard deviation of the noise, each axis and each step
     correlation: float = 0.7  # of the noise between one step and the next; white noise cancels itself along the horizon
-    temperature: float = 0.2  # lambda as a multiple of the standard deviation of the sampled costs, so that costs need no scale
+    temperature: float = 0.2  # lambda as a multiple of the spread of the better half of the costs, so that costs need no scale
     min_effective: float = 0.05  # share of the feasible samples that must carry the average, two at least; 0: no such demand
     max_step: float = 0.5e-3  # length of one step, Euclidean
     iterations: int = 1  # rounds of sampling and updating before a step is executed
@@ -120,8 +120,8 @@ def updated(nominal: Array, controls: Array, costs: Array, feasible: NDArray[np.
     Args:
         nominal: (h, 3) [m] the plan that was sampled around.
         controls: (K, h, 3) [m] the steps that were rolled out.
-        costs: (K,) of each sample; one that is not finite makes its sample infeasible. Never mark a bad sample by a huge cost: it would
-            stretch the standard deviation, and with it lambda, until all others look alike.
+        costs: (K,) of each sample; one that is not finite makes its sample infeasible. Never mark bad samples by a huge cost: where they
+            are more than half, lambda is theirs, and all the others look alike.
         feasible: (K,) bool, False discards a sample (paper, visibility constraint).
         config: temperature and the wanted number of effective samples.
     """
@@ -139,7 +139,7 @@ def updated(nominal: Array, controls: Array, costs: Array, feasible: NDArray[np.
     least, span = float(costs[usable].min()), float(np.ptp(costs[usable]))
     above = (costs[usable] - least) / span if span > 0 else np.zeros(count)
     lowest = min(float(count), max(2.0, config.min_effective * count)) if config.min_effective > 0 else 1.0
-    temperature = _temperature(above, config.temperature * float(above.std()), lowest)
+    temperature = _temperature(above, config.temperature * _spread(above), lowest)
     weights = np.zeros(samples)
     weights[usable] = _weights(above, temperature)
     taken = controls[usable]  # the others may hold nan, which a weight of 0 does not cancel
@@ -182,6 +182,18 @@ def shifted(nominal: Array, steps: int = 1) -> Array:
         raise ValueError(f"steps must be 0 or more, not {steps}")
     horizon = len(nominal)
     return np.array(nominal[np.minimum(np.arange(horizon) + steps, horizon - 1)])
+
+
+def _spread(above: Array) -> float:
+    """How far the costs (n,) of the better half scatter: root mean square distance below the median.
+
+    The standard deviation where costs scatter evenly to both sides. Near a limit they do not: samples that break it cost so much that
+    the standard deviation is theirs alone, and lambda with it; all others would look alike and cancel, and the plan would stand still.
+    """
+    below = float(np.median(above)) - above
+    spread = float(np.sqrt(np.mean(below[below >= 0.0] ** 2)))
+    # Where half of them cost the least, nothing lies below the median, and the others are told by how much more they cost.
+    return spread if spread > 0.0 else float(above.std())
 
 
 def _weights(above: Array, temperature: float) -> Array:

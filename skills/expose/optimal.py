@@ -94,6 +94,8 @@ class View:
 class SteeringOptimal:
     """Plans every step. One run at a time."""
 
+    turns = True
+
     def __init__(
         self,
         config: OptimalConfig,

@@ -38,7 +38,8 @@ class PlannerConfig:
     """Settings of the planning step."""
 
     objective: Objective = Objective.OPENING
-    mppi: MppiConfig = field(default_factory=MppiConfig)
+    # Two rounds: where a stiff tissue leaves few ways within its limits, one round finds that most samples break them, the next a way.
+    mppi: MppiConfig = field(default_factory=lambda: MppiConfig(iterations=2))
     camera: float = 1.0  # lambda_c
     deform: float = 1.0  # lambda_d
     opening: float = 1.0  # lambda_o, of the opening in units of the goal's length times the band

@@ -31,10 +31,12 @@ class PullConfig:
     settle: float = 0.3  # [s] before the reference and after the pull
     slip_drop: float = 0.6  # share of the greatest tension so far that is lost when the tissue has left the jaws
     slip_tension: float = 0.5  # [N] below this tension says nothing about slip
+    refusals: int = 3  # steps in a row refused for tension after which a pull ends that can turn elsewhere
 
     def __post_init__(self) -> None:
         lengths = (self.step, self.speed, self.relaxed, self.settle, self.slip_tension)
-        if not all(value > 0 for value in lengths) or self.steps < 1 or not 0 < self.slip_drop < 1:
+        counts = (self.steps, self.refusals)
+        if not all(value > 0 for value in lengths) or min(counts) < 1 or not 0 < self.slip_drop < 1:
             raise ValueError("lengths, speeds, times and counts of a pull must be positive, and slip_drop a share")
 
 
@@ -49,6 +51,11 @@ class Stop:
 
 class Steering(Protocol):
     """Says where a pull goes. One run, one thread."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether the next step may go elsewhere when one was refused for tension; a straight pull ends there."""
+        ...
 
     def begin(self, lease: Lease, goal: TrackedGoal, grid: Grid, grasped: Grasped) -> Steps[Stop | None]:
         """Look at the tissue at t_d and get ready; or say why nothing can be pulled."""
@@ -164,10 +171,15 @@ class Exposure:
             return replace(step, message=f"{done}: {step.message}"), here
         target = here.moved(step)
         report = yield from servo_line(lease, GRASPER, target, config.speed, doing, here)
-        if report.code in (Code.TENSION, Code.STRAIN):
+        refused = report.code is Code.TENSION
+        if report.code is Code.STRAIN or (refused and not (self._steering.turns and log.refusals + 1 < config.refusals)):
             return Stop(Code.OK, f"{done}: {report.message}", report.code), here
-        if report.status is MoveStatus.FAILED:
+        if refused:
+            # A step cut short is a step: the gate has seen to the tension, and the steering plans the next one knowing it.
+            target = lease.setpoint_cp(GRASPER)
+        elif report.status is MoveStatus.FAILED:
             return _failed(report.code, report.message), here
+        log.refusals = log.refusals + 1 if refused else 0
         now = tracked()
         log.add(lease.now(), target.position, lease.tension(), now.strain if now else float("nan"))
         done = f"pulled {number} of {config.steps} steps"
@@ -186,6 +198,7 @@ class _Log:
         self._path: list[Array] = []
         self._tension: list[float] = []
         self._strain: list[float] = []
+        self.refusals = 0  # for tension, in a row
 
     def add(self, stamp: float, position: Array, tension: float, strain: float) -> None:
         """Note one step."""

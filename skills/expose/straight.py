@@ -29,6 +29,8 @@ class Direction(StrEnum):
 class SteeringStraight:
     """Looks once, then always the same step of `length` [m]."""
 
+    turns = False
+
     def __init__(self, direction: Direction, length: float, stereo: StereoConfig, executor: Executor) -> None:
         self._direction = direction
         self._length = length

@@ -95,7 +95,7 @@ def test_no_step_is_longer_than_allowed():
 
 
 def test_two_samples_are_weighted_by_the_exponential_of_their_costs():
-    # Costs 1 and 3: standard deviation 1, so lambda is the configured temperature itself.
+    # Costs 1 and 3: 1 below the median, so lambda is the configured temperature itself.
     config, samples = MppiConfig(temperature=2.0, min_effective=0.0), plans(1e-4, 5e-4)
 
     update = updated(plans(0.0)[0], samples, np.array([1.0, 3.0]), good(2), config)
@@ -201,8 +201,38 @@ def test_the_temperature_stays_where_enough_samples_carry_the_average_already():
 
     update = updated(plans(0.0)[0], plans(*np.zeros(64)), cost, good(64), MppiConfig(temperature=1.0, min_effective=0.1))
 
-    assert update.temperature == pytest.approx(cost.std())
+    below = np.median(cost) - np.sort(cost)[:32]
+    assert update.temperature == pytest.approx(np.sqrt(np.mean(below**2)))
     assert update.effective_samples > 6.4
+
+
+def test_the_temperature_of_evenly_scattered_costs_is_their_standard_deviation():
+    cost = np.linspace(-3.0, 3.0, 64)
+
+    update = updated(plans(0.0)[0], plans(*np.zeros(64)), cost, good(64), MppiConfig(temperature=1.0))
+
+    assert update.temperature == pytest.approx(cost.std())
+
+
+def test_samples_that_break_a_limit_do_not_make_the_others_look_alike():
+    good_ones, config = np.linspace(0.0, 1.0, 40), MppiConfig()
+
+    near, far = (
+        updated(plans(0.0)[0], plans(*np.zeros(64)), np.append(good_ones, np.full(24, bad)), good(64), config)
+        for bad in (3.0, 3e4)
+    )
+
+    np.testing.assert_allclose(near.weights[:40], far.weights[:40], rtol=1e-3)
+    assert far.effective_samples < 20
+
+
+def test_when_half_of_the_samples_cost_the_least_the_others_weigh_less():
+    cost = np.array([0.0, 0.0, 0.0, 5.0])
+
+    update = updated(plans(0.0)[0], plans(*np.zeros(4)), cost, good(4), MppiConfig())
+
+    assert update.weights[3] < 0.01 * update.weights[0]
+    np.testing.assert_allclose(update.weights[:3], 1.0 / 3.0, rtol=1e-2)
 
 
 def test_agreement_is_1_when_all_pull_one_way_and_0_when_they_cancel():

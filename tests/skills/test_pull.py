@@ -32,6 +32,7 @@ class ScriptedSteering:
         self.begun: list[tuple[TrackedGoal, Grid]] = []
         self.asked: list[tuple[int, Array]] = []
         self.reported: list[ExposeOutcome] = []
+        self.turns = False
 
     def begin(self, lease, goal, grid, grasped) -> Steps[Stop | None]:
         yield Progress("scripted: looking")
@@ -358,6 +359,44 @@ def test_tension_at_its_limit_ends_the_pull_well():
     assert outcome.message.startswith("pulled 4 of 35 steps: ")
     assert len(outcome.path) == pull.exposure.steps_done == 4
     assert sent(pull.bench, GRASPER)[-1] == pytest.approx(outcome.path[-1], abs=0.4e-3)
+
+
+def test_a_steering_that_turns_is_asked_again_when_a_step_was_refused_for_tension():
+    def steer(number: int) -> Array:
+        pull.pulls_with(4.2 if number == 5 else 3.0)
+        return STEP
+
+    pull = Pull(ScriptedSteering(steer))
+    pull.steering.turns = True
+
+    outcome = pull.finish()
+
+    assert (outcome.code, outcome.stopped_by) == (Code.OK, Code.EXPOSURE_STEPS_DONE)
+    assert [number for number, _ in pull.steering.asked] == list(range(1, 36))
+    assert len(outcome.path) == len(outcome.tension) == 35
+    refused = outcome.path[4]
+    assert np.linalg.norm(refused - outcome.path[3]) < 0.4e-3
+    assert pull.steering.asked[5][1] == pytest.approx(refused)  # it goes on from where the jaws are
+
+
+def test_a_step_refused_for_tension_counts_from_where_the_gate_held_the_jaws():
+    pull = from_step(5, lambda pull: pull.pulls_with(4.2))
+    pull.steering.turns = True
+
+    outcome = pull.finish()
+
+    assert sent(pull.bench, GRASPER)[-1] == pytest.approx(outcome.path[-1], abs=1e-12)
+
+
+def test_tension_that_stays_at_its_limit_ends_a_pull_that_turns():
+    pull = from_step(5, lambda pull: pull.pulls_with(4.2))
+    pull.steering.turns = True
+
+    outcome = pull.finish()
+
+    assert (outcome.code, outcome.stopped_by) == (Code.OK, Code.TENSION)
+    assert [number for number, _ in pull.steering.asked] == list(range(1, 4 + PullConfig().refusals + 1))
+    assert np.linalg.norm(outcome.path[-1] - outcome.path[3]) < 0.4e-3
 
 
 def test_strain_at_its_limit_ends_the_pull_well():
