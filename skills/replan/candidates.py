@@ -60,9 +60,12 @@ def candidates_around(
     tracked: TrackedGoal,
     config: ReplanConfig,
     rng: np.random.Generator,
-    outline: NDArray[np.bool_] | None = None,
-) -> Candidates:
-    """Sample candidates of full length around uncut `edges` (E, 2, 2) pixels, wholly inside the tissue `outline` (H, W) if given.
+    outline: NDArray[np.bool_] | None,
+    barred: Array,
+) -> tuple[Candidates, NDArray[np.bool_]]:
+    """Sample candidates of full length around uncut `edges` (E, 2, 2) pixels, and say which edges each cuts (S, E).
+
+    They lie wholly inside the tissue `outline` (H, W) if given, and meet no `barred` edge (B, 2, 2).
 
     Centres come by rejection: drawn in the box around each edge in turn, so that far-apart edges are served alike, and kept if
     nearer than d_hat to that edge. Orientation bins are counted from the goal's direction at its point nearest to the centre.
@@ -78,22 +81,23 @@ def candidates_around(
     segments = np.stack([centres[:, None] - half, centres[:, None] + half], axis=2).reshape(-1, 2, 2)
     angle = np.tile(np.minimum(bins, np.pi - bins), len(centres))
     distance = np.repeat(away.min(axis=1), config.orientations)
-    keep = touch(segments, edges).any(axis=1)
+    covers = touch(segments, edges)
+    keep = covers.any(axis=1) & ~touch(segments, barred).any(axis=1)
     if outline is not None:
         keep &= _inside(segments, outline)
     clear = distances(tracked.grasp[None], segments)[0] >= config.grasp_clearance
-    return Candidates(segments[keep], angle[keep], distance[keep], clear[keep])
+    return Candidates(segments[keep], angle[keep], distance[keep], clear[keep]), covers[keep]
 
 
 def _centres(edges: Array, config: ReplanConfig, rng: np.random.Generator) -> Array:
     """Centres (C, 2) within d_hat of the edges, and each edge's own middle, so that a short edge is never without one."""
     low, high = edges.min(axis=1) - config.reach, edges.max(axis=1) + config.reach
-    kept = [edges.mean(axis=1)]
-    for k, edge in enumerate(edges):
-        draws = rng.uniform(low[k], high[k], size=(config.max_draws, 2))
-        near = distances(draws, edge[None])[:, 0] < config.reach
-        kept.append(draws[near][: config.centres_per_edge])
-    return np.concatenate(kept)
+    draws = rng.uniform(low[:, None], high[:, None], size=(len(edges), config.max_draws, 2))
+    along, offset = edges[:, 1] - edges[:, 0], draws - edges[:, None, 0]
+    t = (offset * along[:, None]).sum(-1) / np.maximum((along**2).sum(-1), 1e-300)[:, None]
+    near = np.linalg.norm(offset - np.clip(t, 0.0, 1.0)[..., None] * along[:, None], axis=-1) < config.reach
+    near &= np.cumsum(near, axis=1) <= config.centres_per_edge
+    return np.concatenate([edges.mean(axis=1), draws[near]])
 
 
 def _inside(segments: Array, outline: NDArray[np.bool_]) -> NDArray[np.bool_]:

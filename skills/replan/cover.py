@@ -1,4 +1,4 @@
-"""Minimum-cost set cover, proven: simple reductions first, an integer programme (HiGHS) for what is left.
+"""Minimum-cost set cover, proven: simple reductions, then a sweep along the columns; an integer programme (HiGHS) where that is too wide.
 
 HiGHS comes with SciPy and with CasADi; through SciPy it was the faster on most sizes of programme that were timed.
 """
@@ -13,10 +13,12 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csc_matrix
 
 from hardware.interface import Array
-from skills.replan.branching import cheapest_by_branching
 from skills.replan.sets import contained, distinct, uncontained, words
+from skills.replan.sweep import cheapest_by_sweeping
 
-SMALL = 1000  # branches that are tried first: they take less time than the smallest integer programme
+PASSES = 2  # of the reductions
+WIDTH = 200  # states that the sweep keeps for one column; it seldom needs a tenth of them
+GAP = 1e-6  # of cost, within which the integer programme has to find the cheapest cover
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,11 @@ class Cover:
     bound: float
 
 
-def minimum_cover(covers: NDArray[np.bool_], costs: Array, nodes: int, gap: float = 1e-6) -> Cover:
+def minimum_cover(covers: NDArray[np.bool_], costs: Array, nodes: int) -> Cover:
     """Choose rows of `covers` (S, E) that together cover every column at the least sum of `costs` (S,), all positive.
 
     `nodes` limits the branches that the integer programme explores, 0 does without it: a count, not a clock, so that equal problems
-    have equal answers. A cover that is dearer than the cheapest by no more than `gap` will do.
+    have equal answers.
 
     Raises:
         ValueError: a column that no row covers, or a cost that is not positive.
@@ -41,19 +43,17 @@ def minimum_cover(covers: NDArray[np.bool_], costs: Array, nodes: int, gap: floa
         raise ValueError(f"{int((~covers.any(axis=0)).sum())} columns are covered by no row; every column needs one")
     if not (costs > 0).all():
         raise ValueError("costs must be positive")
-    rows, columns, must = _reduced(covers, costs)
-    spent = float(costs[must].sum())
-    if not len(columns):
-        return Cover(must, spent, spent)
-    part = covers[np.ix_(rows, columns)]
-    chosen, settled = cheapest_by_branching(part, costs[rows], SMALL, gap)
-    bound = float(costs[rows[chosen]].sum()) - gap if settled else 0.0
+    rows, columns = _reduced(covers, costs)
+    part, price = covers[np.ix_(rows, columns)], costs[rows]
+    chosen, settled = cheapest_by_sweeping(part, price, WIDTH)
+    cost = float(price[chosen].sum())
+    bound = cost if settled else 0.0
     if not settled and nodes:
-        better, bound = _by_programme(part, costs[rows], nodes, gap)
-        if len(better) and costs[rows[better]].sum() < costs[rows[chosen]].sum():
-            chosen = better
-    chosen = np.concatenate([must, rows[chosen]])
-    return Cover(chosen, float(costs[chosen].sum()), spent + bound)
+        better, bound = _by_programme(part, price, nodes)
+        if len(better) and price[better].sum() < cost:
+            chosen, cost = better, float(price[better].sum())
+        bound = min(bound, cost)
+    return Cover(rows[chosen], cost, bound)
 
 
 def telling_columns(covers: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -66,27 +66,21 @@ def telling_columns(covers: NDArray[np.bool_]) -> NDArray[np.int64]:
     return first[~_implied(greatest[:, first])]
 
 
-def _reduced(covers: NDArray[np.bool_], costs: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns that are left of the problem, and rows that belong to a cheapest cover, after the classic reductions.
+def _reduced(covers: NDArray[np.bool_], costs: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns that are left of the problem after the classic reductions; a cheapest cover of these is one of all.
 
     A row goes when another covers all that it does at no higher cost; a column goes when another is covered by none but rows that
-    cover it too; a row that alone covers some column is taken.
+    cover it too. Either lets more of the other go, but after `PASSES` little is gained.
     """
-    rows, columns = np.arange(len(covers)), np.arange(covers.shape[1])
-    must: list[int] = []
-    while len(columns):
-        before = (len(rows), len(columns))
-        rows = rows[_cheapest(covers[np.ix_(rows, columns)], costs[rows])]
-        columns = columns[np.sort(distinct(covers[np.ix_(rows, columns)].T)[0])]
-        columns = columns[~_implied(covers[np.ix_(rows, columns)])]
-        part = covers[np.ix_(rows, columns)]
-        alone = np.unique(np.argmax(part[:, part.sum(axis=0) == 1], axis=0)) if len(columns) else np.zeros(0, dtype=np.int64)
-        must += rows[alone].tolist()
-        columns = columns[~part[alone].any(axis=0)]
-        rows = np.delete(rows, alone)
-        if before == (len(rows), len(columns)):
-            break
-    return rows, columns, np.array(must, dtype=np.int64)
+    rows, columns, part = np.arange(len(covers)), np.arange(covers.shape[1]), covers
+    for _ in range(PASSES):
+        kept = _cheapest(part, costs[rows])
+        rows, part = rows[kept], part[kept]
+        kept = np.sort(distinct(part.T)[0])
+        columns, part = columns[kept], part[:, kept]
+        told = ~_implied(part)
+        columns, part = columns[told], part[:, told]
+    return rows, columns
 
 
 def _cheapest(covers: NDArray[np.bool_], costs: Array) -> NDArray[np.int64]:
@@ -106,11 +100,13 @@ def _implied(covers: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(implies.any(axis=0))
 
 
-def _by_programme(covers: NDArray[np.bool_], costs: Array, nodes: int, gap: float) -> tuple[NDArray[np.int64], float]:
+def _by_programme(covers: NDArray[np.bool_], costs: Array, nodes: int) -> tuple[NDArray[np.int64], float]:
     """Rows that cover every column, none if none were found within `nodes`, and a lower bound of the cost."""
     each = LinearConstraint(csc_matrix(covers.T.astype(np.float64)), 1.0, np.inf)
-    options = {"node_limit": nodes, "mip_rel_gap": gap / float(costs.sum())}
+    options = {"node_limit": nodes, "mip_rel_gap": GAP / float(costs.sum())}
     result = milp(costs, integrality=np.ones(len(costs)), bounds=Bounds(0.0, 1.0), constraints=each, options=options)
-    bound = float(result.mip_dual_bound) if result.mip_dual_bound is not None else 0.0
+    # A solver that stops for another reason than success or the limit proves nothing.
+    proves = result.status in (0, 1) and result.mip_dual_bound is not None and np.isfinite(result.mip_dual_bound)
+    bound = float(result.mip_dual_bound) if proves else 0.0
     chosen = np.zeros(0, dtype=np.int64) if result.x is None else np.flatnonzero(result.x > 0.5)
     return chosen if covers[chosen].any(axis=0).all() else chosen[:0], bound

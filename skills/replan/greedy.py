@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from hardware.interface import Array
 from skills.replan.candidates import Candidates, ReplanConfig, candidates_around
-from skills.scene.segments import touch
 from skills.tracking.tracks import TrackedGoal
 
 
@@ -27,11 +26,18 @@ class GreedyCuts:
 
 
 def greedy_cuts(
-    edges: Array, tracked: TrackedGoal, config: ReplanConfig, rng: np.random.Generator, outline: NDArray[np.bool_] | None
+    edges: Array,
+    tracked: TrackedGoal,
+    config: ReplanConfig,
+    rng: np.random.Generator,
+    outline: NDArray[np.bool_] | None,
+    barred: Array,
 ) -> GreedyCuts:
-    """Cover `edges` (E, 2, 2) pixels by candidates sampled around them, clear of the grasp if that reaches every edge."""
-    candidates = candidates_around(edges, tracked, config, rng, outline)
-    covers = touch(candidates.segments, edges)
+    """Cover `edges` (E, 2, 2) pixels by candidates sampled around them, clear of the grasp if that reaches every edge.
+
+    None meets a `barred` edge (B, 2, 2).
+    """
+    candidates, covers = candidates_around(edges, tracked, config, rng, outline, barred)
     missing = int((~covers.any(axis=0)).sum())
     if missing:
         return GreedyCuts(np.zeros((0, 2, 2)), (), missing, False)

@@ -18,40 +18,38 @@ from hardware.interface import Array
 from skills.replan.sets import Words, contained, distinct, uncontained, words
 from skills.scene.segments import TOUCH, cross, distances, meetings, touch
 
+ROUGH = 1e-6  # [px, px^2] by which a quick look may be off
 SPARES = 12  # segments kept for one set of edges: they differ in what else they cut
-BISECTIONS = 50
-BLOCK = 256  # lines looked at together
+NEWTON_STEPS = 12
+BLOCK = 512  # lines looked at together
 
 
 @dataclass(frozen=True)
 class Cuts:
-    """`segments` (S, 2, 2) pixels and which edges each cuts, `covers` (S, E). No set is part of another; some occur more than once."""
+    """`segments` (S, 2, 2) pixels and which edges each cuts, `covers` (S, E)."""
 
     segments: Array
     covers: NDArray[np.bool_]
 
 
-def maximal_cuts(edges: Array, length: float, most: int, known: Cuts | None = None) -> Cuts | None:
+def maximal_cuts(edges: Array, length: float, most: int, known: NDArray[np.bool_] | None = None) -> Cuts | None:
     """All maximal sets of `edges` (E, 2, 2) pixels that one segment of at most `length` [px] can cut; None beyond `most` segments.
 
-    Segments already `known`, each no longer than `length`, shorten the search: lines that add nothing to them are left out.
+    Sets that are part of a set which is `known` (K, E) already are left out, which shortens the search. Some sets occur more than once.
     """
-    points = np.concatenate([edges.reshape(-1, 2), _crossings(edges)])
-    known = known or Cuts(np.zeros((0, 2, 2)), np.zeros((0, len(edges)), dtype=bool))
-    parts = [
-        known,
-        _through_two(points, edges, length, most, words(known.covers[_maximal(known.covers)])),
-        _shortest_through_one(points, edges, length, most),
-    ]
+    touching = touch(edges, edges)
+    points = np.concatenate([edges.reshape(-1, 2), _crossings(edges, touching)])
+    done = np.zeros((0, len(edges)), dtype=bool) if known is None else known[_greatest(known)]
+    parts = [_through_two(points, edges, length, most, done), _shortest_through_one(points, edges, touching, length, most, done)]
     found = [part for part in parts if part is not None]
     if len(found) < len(parts):
         return None
     cuts = Cuts(np.concatenate([part.segments for part in found]), np.concatenate([part.covers for part in found]))
-    keep = _maximal(cuts.covers)
+    keep = maximal_rows(cuts.covers)
     return Cuts(cuts.segments[keep], cuts.covers[keep])
 
 
-def _through_two(points: Array, edges: Array, length: float, most: int, known: Words) -> Cuts | None:
+def _through_two(points: Array, edges: Array, length: float, most: int, done: NDArray[np.bool_]) -> Cuts | None:
     """Segments of full length on the lines through two points, each from where it last touches one edge on."""
     i, j = np.nonzero(np.triu(_near(points, length)))
     # Each edge's own line too, from both ends, and a line across it, however long the edge.
@@ -69,48 +67,59 @@ def _through_two(points: Array, edges: Array, length: float, most: int, known: W
     for block in np.split(order, range(BLOCK, len(order), BLOCK)):
         first, last = starts[block[0], axis], starts[block[-1], axis]
         near = np.flatnonzero((high >= first - length - TOUCH) & (low <= last + length + TOUCH))
-        where = meetings(starts[block], directions[block], edges[near])
-        within = np.zeros((len(block), len(edges)), dtype=bool)
-        within[:, near] = (where[0] <= length + TOUCH) & (where[1] >= -length - TOUCH)
-        new = np.flatnonzero(~contained(words(within), known).any(axis=1))
-        lines = block[new]
-        line, begin, sets = _slid(where[0][new], where[1][new], reach[lines], length)
-        line = lines[line]
+        beside = words(done[done[:, near].any(axis=1)][:, near])
+        within = _within_reach(starts[block], directions[block], reach[block], edges[near], length)
+        lines = block[~contained(words(within), beside).any(axis=1)]
+        met = meetings(starts[lines], directions[lines], edges[near])
+        line, begin, sets = _slid(*met, reach[lines], length)
+        new = ~_lesser(words(sets), beside)
+        line, begin = lines[line[new]], begin[new]
         segments.append(starts[line, None] + (begin[:, None] + np.array([0.0, length]))[..., None] * directions[line, None])
         covers.append(np.zeros((len(line), len(edges)), dtype=bool))
-        covers[-1][:, near] = sets
+        covers[-1][:, near] = sets[new]
         if sum(len(cuts) for cuts in segments) > most:
             return None
     return Cuts(np.concatenate(segments), np.concatenate(covers))
 
 
+def _within_reach(starts: Array, directions: Array, reach: Array, edges: Array, length: float) -> NDArray[np.bool_]:
+    """Edges (K, E) that segments on the lines from `starts` (K, 2) along `directions` may meet, if they span 0 to `reach` (K,).
+
+    A quick look, that may count an edge too many, but none too few.
+    """
+    du, dv = directions.T
+    u, v = starts.T
+    one = np.ones(2 * len(edges))
+    eu, ev = edges.transpose(2, 1, 0).reshape(2, -1)
+    aside = np.column_stack([du, dv, dv * u - du * v]) @ np.stack([ev, -eu, one])
+    ahead = np.column_stack([du, dv, -du * u - dv * v]) @ np.stack([eu, ev, one])
+    (s0, s1), (r0, r1) = np.hsplit(aside, 2), np.hsplit(ahead, 2)
+    before, after = np.minimum(r0, r1) <= length + ROUGH, np.maximum(r0, r1) >= (reach - length - ROUGH)[:, None]
+    return np.asarray((s0 * s1 <= ROUGH) & before & after)
+
+
 def _slid(low: Array, high: Array, reach: Array, length: float) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
-    """Line and begin of each segment that spans 0 to `reach` (K,) on lines that meet edges from `low` to `high` (K, E); and its set."""
-    line, first = _first_edges(low, high, reach, length)
-    begin = np.minimum(high[line, first], 0.0)
-    covers = _within(low[line], high[line], begin, length)
-    keep = distinct(covers)[0]
-    return line[keep], begin[keep], covers[keep]
+    """Line and begin of each segment that spans 0 to `reach` (K,) on lines that meet edges from `low` to `high` (K, E); and its set.
+
+    Each begins where it touches one edge last, unless a segment that begins before it on its line reaches as many edges ahead.
+    """
+    begins = np.where(low <= TOUCH, np.minimum(high, 0.0), -np.inf)
+    line, edge = np.nonzero(begins >= (reach - length - TOUCH)[:, None])
+    begin = begins[line, edge]
+    order = np.lexsort([begin, line])
+    line, begin = line[order], begin[order]
+    ahead = low[line] <= begin[:, None] + (length + TOUCH)
+    reached = ahead.sum(axis=1)
+    first = np.diff(line, prepend=-1) > 0
+    keep = np.flatnonzero(first | (np.diff(reached, prepend=0) > 0))
+    covers = ahead[keep] & (high[line[keep]] >= begin[keep, None] - TOUCH)
+    keep, covers = keep[(kept := distinct(covers)[0])], covers[kept]
+    return line[keep], begin[keep], covers
 
 
-def _first_edges(low: Array, high: Array, reach: Array, length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Line and edge at which a segment may begin, so that it spans 0 to `reach` and no earlier start on its line cuts all that it does."""
-    begin = np.where((low <= TOUCH) & (high > -np.inf), np.minimum(high, 0.0), np.inf)
-    begin = np.where(begin + length >= reach[:, None] - TOUCH, begin, np.inf)
-    order = np.argsort(begin, axis=1)
-    begin = np.take_along_axis(begin, order, axis=1)
-    # One sorted list for all lines: each line's positions lie in a range of their own.
-    finite = low[np.isfinite(low)]
-    wide = 4.0 * (float(np.abs(finite).max(initial=0.0)) + length + 1.0)
-    shelf = wide * np.arange(len(low))[:, None]
-    ends = np.sort((np.where(np.isfinite(low), low, wide / 2) + shelf).ravel())
-    reached = np.searchsorted(ends, np.where(np.isfinite(begin), begin + length + TOUCH, -wide / 2) + shelf, side="right")
-    more = np.diff(reached, axis=1, prepend=-1) > 0
-    line, rank = np.nonzero(more & np.isfinite(begin))
-    return line, order[line, rank]
-
-
-def _shortest_through_one(points: Array, edges: Array, length: float, most: int) -> Cuts | None:
+def _shortest_through_one(
+    points: Array, edges: Array, touching: NDArray[np.bool_], length: float, most: int, done: NDArray[np.bool_]
+) -> Cuts | None:
     """Segments through a point that meet one edge behind it and one ahead on the shortest way, or one edge squarely.
 
     Needed only where turning either way to the end of the two edges would make the way too long.
@@ -125,7 +134,7 @@ def _shortest_through_one(points: Array, edges: Array, length: float, most: int)
 
     from_ends = np.maximum(*ends)[: 2 * len(edges)]
     widest = np.maximum(from_ends[::2], from_ends[1::2])
-    e, f = np.nonzero(np.triu((_edge_distances(edges) <= length) & (widest > length), 1))
+    e, f = np.nonzero(np.triu((_edge_distances(away[: 2 * len(edges)], touching) <= length) & (widest > length), 1))
     rows, at = np.nonzero((away[:, e] + away[:, f] <= length).T & (np.minimum(away[:, e], away[:, f]) > TOUCH).T)
     if len(at) > most:
         return None
@@ -135,7 +144,9 @@ def _shortest_through_one(points: Array, edges: Array, length: float, most: int)
     begin = -behind - (length - behind - ahead) / 2
     segments = points[at, None] + (begin[:, None] + np.array([0.0, length]))[..., None] * toward[:, None]
     low, high = meetings(points[at], toward, edges)
-    return Cuts(segments, _within(low, high, begin, length))
+    covers = _within(low, high, begin, length)
+    new = ~_lesser(words(covers), words(done))
+    return Cuts(segments[new], covers[new])
 
 
 def _shortest_between(
@@ -167,12 +178,15 @@ def _shortest_between(
     far = (np.add(*ways(low, every)) > length) & (np.add(*ways(high, every)) > length)
     k = np.flatnonzero((low < high) & far & (de > TOUCH) & (df > TOUCH))
     low, high = low[k], high[k]
-    for _ in range(BISECTIONS):
-        theta = (low + high) / 2
-        behind, ahead = ways(theta, k)
-        rising = behind * np.tan(theta - foot_e[k]) + ahead * np.tan(theta - foot_f[k]) > 0
-        low, high = np.where(rising, low, theta), np.where(rising, theta, high)
     theta = (low + high) / 2
+    for _ in range(NEWTON_STEPS):
+        # The way is a convex function of the angle: where Newton's step leaves the bracket, halve that.
+        behind, ahead = ways(theta, k)
+        tan_e, tan_f = np.tan(theta - foot_e[k]), np.tan(theta - foot_f[k])
+        slope = behind * tan_e + ahead * tan_f
+        low, high = np.where(slope > 0, low, theta), np.where(slope > 0, theta, high)
+        theta = theta - slope / (behind * (1 + 2 * tan_e**2) + ahead * (1 + 2 * tan_f**2))
+        theta = np.where((low <= theta) & (theta <= high), theta, (low + high) / 2)
     behind, ahead = ways(theta, k)
     fits = behind + ahead <= length
     toward = np.column_stack([np.cos(theta), np.sin(theta)])
@@ -198,15 +212,15 @@ def _near(points: Array, length: float) -> NDArray[np.bool_]:
     return np.asarray((apart <= length) & (apart > 0))
 
 
-def _edge_distances(edges: Array) -> Array:
-    """Least distance (E, E) [px] between every two edges."""
-    ends = np.minimum(distances(edges[:, 0], edges), distances(edges[:, 1], edges))
-    return np.where(touch(edges, edges), 0.0, np.minimum(ends, ends.T))
+def _edge_distances(away: Array, touching: NDArray[np.bool_]) -> Array:
+    """Least distance (E, E) [px] between every two edges, of which the ends lie `away` (2E, E) from them."""
+    ends = np.minimum(away[::2], away[1::2])
+    return np.where(touching, 0.0, np.minimum(ends, ends.T))
 
 
-def _crossings(edges: Array) -> Array:
+def _crossings(edges: Array, touching: NDArray[np.bool_]) -> Array:
     """Points (X, 2) where two edges cross."""
-    i, j = np.nonzero(np.triu(touch(edges, edges), 1))
+    i, j = np.nonzero(np.triu(touching, 1))
     r, s = edges[i, 1] - edges[i, 0], edges[j, 1] - edges[j, 0]
     turn = cross(r, s)
     real = np.abs(turn) > 1e-9
@@ -215,13 +229,24 @@ def _crossings(edges: Array) -> Array:
     return np.asarray(edges[i, 0] + t[:, None] * r)
 
 
-def _maximal(covers: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _lesser(sets: Words, done: Words) -> NDArray[np.bool_]:
+    """Which of `sets` are part of one of `done`, but none of them."""
+    return np.asarray((contained(sets, done) & ~contained(done, sets).T).any(axis=1))
+
+
+def _greatest(covers: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Indices of the rows of `covers` (S, E) that are part of no other row; of equal rows the first."""
+    first = distinct(covers)[0]
+    first = first[np.argsort(-covers[first].sum(axis=1), kind="stable")]
+    return first[uncontained(covers[first])]
+
+
+def maximal_rows(covers: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Indices of the rows of `covers` (S, E) that are part of no greater row; of equal rows a few, spread over their order."""
-    first, which = distinct(covers)
-    greatest_first = np.argsort(-covers[first].sum(axis=1), kind="stable")
-    maximal = np.zeros(len(first), dtype=bool)
-    maximal[greatest_first[uncontained(covers[first[greatest_first]])]] = True
+    which = distinct(covers)[1]
     count = np.bincount(which)
+    maximal = np.zeros(len(count), dtype=bool)
+    maximal[which[_greatest(covers)]] = True
     order = np.argsort(which, kind="stable")
     rank = np.empty(len(which), dtype=np.int64)
     rank[order] = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)

@@ -11,7 +11,7 @@ from skills.replan.candidates import ReplanConfig
 from skills.replan.order import along_goal
 from skills.replan.room import Room
 from skills.scene.polyline import arc_lengths, at_length, resample
-from skills.scene.segments import cross, distances, span, touch
+from skills.scene.segments import distances, span, touch
 from skills.tracking.tracks import TrackedGoal
 
 # What decides between covers of equally many segments: cutting outside the goal, angle to it, nearness to the grasp and to the base.
@@ -30,13 +30,14 @@ def goal_chords(edges: Array, polyline: Array, length: float) -> Array:
     place, direction = along_goal(at, polyline)
     order = np.argsort(place, kind="stable")
     at, direction = at[order], direction[order]
-    within = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1)) <= length
-    last = len(at) - 1 - np.argmax(within[:, ::-1], axis=1)
-    first = np.argmax(within, axis=1)
     centred = np.stack([at - length / 2 * direction, at + length / 2 * direction], axis=1)
     apart = np.unique(np.floor(place[order] / APART), return_index=True)[1]
-    ways = ((at[last], direction), (at[first], -direction))
-    return np.concatenate([*(_from(at[apart], end[apart], along[apart], length) for end, along in ways), centred])
+    start, along = at[apart], direction[apart]
+    within = np.hypot(start[:, :1] - at[:, 0], start[:, 1:] - at[:, 1]) <= length
+    last = len(at) - 1 - np.argmax(within[:, ::-1], axis=1)
+    first = np.argmax(within, axis=1)
+    ways = ((at[last], along), (at[first], -along))
+    return np.concatenate([*(_from(start, end, otherwise, length) for end, otherwise in ways), centred])
 
 
 def tie_costs(segments: Array, covers: NDArray[np.bool_], edges: Array, tracked: TrackedGoal, config: ReplanConfig) -> Array:
@@ -57,31 +58,35 @@ def tie_costs(segments: Array, covers: NDArray[np.bool_], edges: Array, tracked:
     return np.asarray(np.nan_to_num(np.column_stack([off, angle, *near]), nan=1.0) @ (TIE_WEIGHTS / TIE_WEIGHTS.sum()))
 
 
-def drawn_to_goal(segment: Array, edges: Array, polyline: Array, room: Room) -> Array:
-    """Bring `segment` (2, 2) as near to the goal's own chord as it still cuts all of `edges` (K, 2, 2) inside `room`.
+def drawn_to_goal(segments: Array, severs: list[NDArray[np.int64]], edges: Array, polyline: Array, room: Room) -> Array:
+    """Bring each of `segments` (S, 2, 2) as near to the goal's own chord as it still cuts its own of `edges` (E, 2, 2) inside `room`.
 
-    Both ends move on straight lines towards the goal, so the segment gets no longer than the longer of the two.
+    Both ends move on straight lines towards the goal, so a segment gets no longer than the longer of the two.
     """
-    place, _ = along_goal(segment, polyline)
-    tries = segment + SHARES[:, None, None] * (at_length(polyline, place) - segment)
-    for drawn in tries[touch(tries, edges).all(axis=1)]:
-        low, high = span(drawn, edges)
-        if room.whole((drawn[0] + np.array([[low], [high]]) * (drawn[1] - drawn[0]))[None])[0]:
-            return np.asarray(drawn)
-    return segment
+    place, _ = along_goal(segments.reshape(-1, 2), polyline)
+    step = at_length(polyline, place).reshape(segments.shape) - segments
+    tries = segments[:, None] + SHARES[:, None, None] * step[:, None]
+    cut = touch(tries.reshape(-1, 2, 2), edges).reshape(len(segments), len(SHARES), len(edges))
+    drawn = segments.copy()
+    for k, own in enumerate(severs):
+        for near in tries[k, cut[k][:, own].all(axis=1)]:
+            low, high = span(near, edges[own])
+            if room.whole((near[0] + np.array([[low], [high]]) * (near[1] - near[0]))[None])[0]:
+                drawn[k] = near
+                break
+    return drawn
 
 
 def _stretch(segments: Array, directions: Array, covers: NDArray[np.bool_], edges: Array) -> tuple[Array, Array]:
     """Where (S,) [px] along `segments` the first and the last edge that each covers is met; zero where it covers none."""
     i, j = np.nonzero(covers)
-    offset = edges[j] - segments[i, None, 0]
-    aside = cross(directions[i, None], offset)
-    ahead = (directions[i, None] * offset).sum(axis=-1)
-    across = aside[:, 0] - aside[:, 1]
+    (u0, u1), (v0, v1) = (edges[j, :, axis].T - segments[i, 0, axis] for axis in (0, 1))
+    du, dv = directions[i].T
+    aside0, aside1, ahead0, ahead1 = du * v0 - dv * u0, du * v1 - dv * u1, du * u0 + dv * v0, du * u1 + dv * v1
+    across = aside0 - aside1
     along = np.abs(across) < 1e-9
-    t = np.clip(aside[:, 0] / np.where(along, 1.0, across), 0.0, 1.0)
-    where = ahead[:, 0] + t * (ahead[:, 1] - ahead[:, 0])
-    low, high = np.where(along, ahead.min(axis=1), where), np.where(along, ahead.max(axis=1), where)
+    where = ahead0 + np.clip(aside0 / np.where(along, 1.0, across), 0.0, 1.0) * (ahead1 - ahead0)
+    low, high = np.where(along, np.minimum(ahead0, ahead1), where), np.where(along, np.maximum(ahead0, ahead1), where)
     begin, end = np.full(len(segments), np.inf), np.full(len(segments), -np.inf)
     np.minimum.at(begin, i, low)
     np.maximum.at(end, i, high)

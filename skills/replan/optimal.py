@@ -7,7 +7,7 @@ until the bound meets a cover of all. Among covers of that many segments, the ti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hardware.interface import Array
 from skills.replan.candidates import ReplanConfig
 from skills.replan.cover import minimum_cover, telling_columns
-from skills.replan.maximal import Cuts, maximal_cuts
+from skills.replan.maximal import Cuts, maximal_cuts, maximal_rows
 from skills.replan.near_goal import goal_chords, tie_costs
 from skills.replan.order import along_goal
 from skills.replan.room import Room
@@ -26,11 +26,9 @@ from skills.tracking.tracks import TrackedGoal
 
 Covers = NDArray[np.bool_]
 STRETCH = 20.0  # [px] of the goal, from which the tightest edges are taken
-ADDED = 16  # edges that join the few in a round
-NEARLY = 8  # edges left, up to which a cover of all is looked for
+ADDED = 24  # edges that join the few in a round
+TIE_STEP = 0.01  # of a segment's length cut outside the goal: less than a pixel
 PASSES = 2  # over the chosen segments, in which each is exchanged for a better one
-TIE_GAP = 0.01  # of a segment's length cut outside the goal: less than a pixel
-TIE_ROUNDS = 8  # in which edges left are looked at too
 
 
 @dataclass(frozen=True)
@@ -53,59 +51,50 @@ class FewestCuts:
 
 def fewest_cuts(edges: Array, tracked: TrackedGoal, config: ReplanConfig, room: Room) -> FewestCuts:
     """Sever `edges` (E, 2, 2) pixels, at least one, by as few segments in `room` as possible; the bound holds without the room too."""
-    chords = room.pieces(goal_chords(edges, tracked.polyline, config.segment_length))
-    covers = touch(chords, edges)
-    missing = int((~covers.any(axis=0)).sum())
+    pool = _cutting(room.pieces(goal_chords(edges, tracked.polyline, config.segment_length)), edges)
+    missing = int((~pool.covers.any(axis=0)).sum())
     if missing:
-        return FewestCuts(chords[:0], covers[:0], 0, missing)
-    place, _ = along_goal(edges.mean(axis=1), tracked.polyline)
+        return FewestCuts(pool.segments[:0], pool.covers[:0], 0, missing)
+    pool, ties = _nearest_of_each(pool, tie_costs(pool.segments, pool.covers, edges, tracked, config))
     # What is found without a search will often do.
-    chosen = min((_walk(covers, np.argsort(way, kind="stable")) for way in (place, -place)), key=len)
-    best = FewestCuts(chords[chosen], covers[chosen], 1)
-    pool, known = chords, covers
+    chosen, bound = _fewest(pool), 1
+    place, _ = along_goal(edges.mean(axis=1), tracked.polyline)
     telling = _telling(edges, place, tracked.polyline, config)
-    few = telling[telling_columns(covers[:, telling])]
+    few = telling[telling_columns(pool.covers[:, telling])]
     for _ in range(config.max_rounds):
-        answer = _cover_few(few, edges, room, config, Cuts(pool, known[:, few]))
+        answer = _cover_few(few, edges, room, config, pool)
         if answer is None:
             break
-        pool, known = np.concatenate([answer.segments, chords]), np.concatenate([answer.covers, covers])
-        left = np.flatnonzero(~known[answer.chosen].any(axis=0))
-        best = _improved(best, pool, known, answer, len(left))
-        left = np.setdiff1d(left, few)
-        if best.proven or not len(left):
+        pool, bound = _joined(pool, answer.new), max(bound, answer.bound)
+        chosen = min(chosen, _fewest(pool), key=len) if len(chosen) > bound else chosen
+        left = np.setdiff1d(np.flatnonzero(~answer.covered), few)
+        if len(chosen) <= bound or not len(left):
             break
-        more = left[np.unique(np.linspace(0, len(left) - 1, ADDED).astype(np.int64))]
-        few = np.unique(np.concatenate([few, more]))
-    pool, known = np.concatenate([best.segments, pool]), np.concatenate([best.covers, known])
-    chosen = _tie_broken(len(best.segments), known, tie_costs(pool, known, edges, tracked, config), few)
-    return FewestCuts(pool[chosen], known[chosen], best.bound)
+        few = np.union1d(few, left[np.unique(np.linspace(0, len(left) - 1, ADDED).astype(np.int64))])
+    segments, covers = pool.segments[len(ties) :], pool.covers[len(ties) :]
+    ties = np.concatenate([ties, tie_costs(segments, covers, edges, tracked, config)])
+    chosen = _tie_broken(chosen, pool.covers, ties)
+    return FewestCuts(pool.segments[chosen], pool.covers[chosen], bound)
 
 
-def _improved(best: FewestCuts, pool: Array, covers: Covers, answer: FewCovered, left: int) -> FewestCuts:
-    """The `best` with a better bound, and fewer segments from the `pool` (S, 2, 2) if the `answer` or a short search finds them.
-
-    The search is made when the answer leaves few edges, else it is seldom worth its time.
-    """
-    best = replace(best, bound=max(best.bound, answer.bound))
-    if best.proven or left > NEARLY:
-        return best
-    chosen = answer.chosen
-    if left:
-        chosen = minimum_cover(covers, np.ones(len(covers)), 0).chosen
-    return replace(best, segments=pool[chosen], covers=covers[chosen]) if len(chosen) < len(best.segments) else best
+def _cutting(segments: Array, edges: Array) -> Cuts:
+    return Cuts(segments, touch(segments, edges))
 
 
-def _walk(covers: Covers, order: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows taken one after the other: of those that reach the first column (E,) in `order` that is left, the one that takes most."""
-    left = np.ones(len(order), dtype=bool)
-    chosen: list[int] = []
-    for k in order:
-        if left[k]:
-            able = np.flatnonzero(covers[:, k])
-            chosen.append(int(able[np.argmax((covers[able] & left).sum(axis=1))]))
-            left &= ~covers[chosen[-1]]
-    return np.array(chosen)
+def _joined(one: Cuts, other: Cuts) -> Cuts:
+    return Cuts(np.concatenate([one.segments, other.segments]), np.concatenate([one.covers, other.covers]))
+
+
+def _nearest_of_each(cuts: Cuts, ties: Array) -> tuple[Cuts, Array]:
+    """Of `cuts` that cut the same, only the one with the least of `ties` (S,); and the ties of those."""
+    order = np.argsort(ties, kind="stable")
+    kept = order[distinct(cuts.covers[order])[0]]
+    return Cuts(cuts.segments[kept], cuts.covers[kept]), ties[kept]
+
+
+def _fewest(pool: Cuts) -> NDArray[np.int64]:
+    """Rows of the `pool` that cut every edge, as few as there are."""
+    return minimum_cover(pool.covers, np.ones(len(pool.covers)), 0).chosen
 
 
 # ------------------------------------------------------------ the proof
@@ -124,9 +113,11 @@ def _telling(edges: Array, place: Array, polyline: Array, config: ReplanConfig) 
         for k in np.argsort(way, kind="stable"):
             if free[k]:
                 taken.append(int(k))
-                one = edges[k : k + 1]
-                away = np.minimum(distances(one[0], edges).min(axis=0), distances(ends, one).reshape(-1, 2).min(axis=1))
-                free &= (away > config.segment_length) & ~touch(one, edges)[0]
+                away = np.minimum(
+                    distances(edges[k], edges).min(axis=0), distances(ends, edges[k : k + 1]).reshape(-1, 2).min(axis=1)
+                )
+                # An end of an edge that crosses another is no farther from it than half its length.
+                free &= away > max(config.segment_length, float(np.linalg.norm(edges[k, 1] - edges[k, 0])) / 2)
     at, direction = along_goal(ends, polyline)
     aside = cross(direction, ends - at_length(polyline, at)).reshape(-1, 2)
     stretch = np.floor(place / STRETCH)
@@ -138,71 +129,57 @@ def _telling(edges: Array, place: Array, polyline: Array, config: ReplanConfig) 
 
 @dataclass(frozen=True)
 class FewCovered:
-    """Nobody covers the few edges by fewer than `bound` segments.
+    """Nobody covers the few edges by fewer than `bound` segments. So many did; those in the room cut the edges `covered` (E,).
 
-    `segments` (S, 2, 2) are those in the room that were chosen from, with all edges that they cut, `covers` (S, E). The `chosen` of
-    them cut the few edges too, unless some that were chosen lie outside the room.
+    `new` are the segments in the room that were found for it, with all edges that they cut.
     """
 
     bound: int
-    segments: Array
-    covers: Covers
-    chosen: NDArray[np.int64]
+    new: Cuts
+    covered: NDArray[np.bool_]
 
 
-def _cover_few(few: NDArray[np.int64], edges: Array, room: Room, config: ReplanConfig, known: Cuts) -> FewCovered | None:
-    """Cover the `few` of `edges` (E, 2, 2) by the least number of segments, `known` ones or any; None if there are too many."""
-    cuts = maximal_cuts(edges[few], config.segment_length, config.max_candidates, known)
+def _cover_few(few: NDArray[np.int64], edges: Array, room: Room, config: ReplanConfig, pool: Cuts) -> FewCovered | None:
+    """Cover the `few` of `edges` (E, 2, 2) by the least number of segments, of the `pool` or any; None if there are too many."""
+    cuts = maximal_cuts(edges[few], config.segment_length, config.max_candidates, pool.covers[:, few])
     if cuts is None:
         return None
     free = room.whole(cuts.segments)
-    full = touch(cuts.segments, edges) & free[:, None]
+    touched = touch(cuts.segments, edges)
+    sets = np.concatenate([cuts.covers, pool.covers[:, few]])
+    rows = maximal_rows(sets)
+    sets, full = sets[rows], np.concatenate([touched & free[:, None], pool.covers])[rows]
     # Of segments for one set of the few, and of sets that do equally well, the one that cuts most else.
     order = np.argsort(-full.sum(axis=1), kind="stable")
-    order = order[np.sort(distinct(cuts.covers[order])[0])]
-    cover = minimum_cover(cuts.covers[order], np.ones(len(order)), config.max_nodes)
-    chosen = _widened(order[cover.chosen], cuts.covers, full)
-    pieces = room.pieces(cuts.segments[~free])
-    return FewCovered(
-        bound=int(np.ceil(cover.bound - 1e-6)),
-        segments=np.concatenate([cuts.segments[free], pieces]),
-        covers=np.concatenate([full[free], touch(pieces, edges)]),
-        chosen=(np.cumsum(free) - 1)[chosen[free[chosen]]],
-    )
+    order = order[np.sort(distinct(sets[order])[0])]
+    cover = minimum_cover(sets[order], np.ones(len(order)), config.max_nodes)
+    chosen = _widened(order[cover.chosen], sets, full)
+    new = _joined(Cuts(cuts.segments[free], touched[free]), _cutting(room.pieces(cuts.segments[~free]), edges))
+    return FewCovered(int(np.ceil(cover.bound - 1e-6)), new, np.asarray(full[chosen].any(axis=0)))
 
 
 def _widened(chosen: NDArray[np.int64], few: Covers, full: Covers) -> NDArray[np.int64]:
     """Exchange each of the `chosen` rows for one that cuts most of all edges (S, E) that the others leave, with all of the `few` (S, F)."""
     chosen = chosen.copy()
+    often, cut = few[chosen].sum(axis=0), full[chosen].sum(axis=0)
     for k in np.tile(np.arange(len(chosen)), PASSES):
-        others = np.delete(chosen, k)
-        able = np.flatnonzero(few[:, ~few[others].any(axis=0)].all(axis=1))
-        more = full[np.ix_(able, ~full[others].any(axis=0))].sum(axis=1)
-        chosen[k] = able[np.argmax(more)]
+        old = chosen[k]
+        able = np.flatnonzero(few[:, often == few[old]].all(axis=1))
+        chosen[k] = able[np.argmax(full[np.ix_(able, cut == full[old])].sum(axis=1))]
+        often += few[chosen[k]].astype(np.int64) - few[old]
+        cut += full[chosen[k]].astype(np.int64) - full[old]
     return chosen
 
 
 # ------------------------------------------------------------ the tie-break
 
 
-def _tie_broken(count: int, covers: Covers, ties: Array, few: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of `covers` (S, E) that reach every edge: as few as the first `count`, which do, at the least sum of `ties` (S,) 0..1.
-
-    Only the `few` columns are looked at first, then those that are left. What branching does not settle soon is taken as it is.
-    """
-    # All the ties of a cover together weigh less than one segment.
-    weight = 1.0 / (count + 1)
-    chosen = np.arange(count)
-    for _ in range(TIE_ROUNDS):
-        cover = minimum_cover(covers[:, few], 1.0 + weight * ties, 0, TIE_GAP * weight)
-        left = np.flatnonzero(~covers[cover.chosen].any(axis=0))
-        if len(cover.chosen) > count:
-            break
-        if not len(left):
-            chosen = cover.chosen
-            break
-        few = np.concatenate([few, left])
-    return _exchanged(chosen, covers, ties)
+def _tie_broken(chosen: NDArray[np.int64], covers: Covers, ties: Array) -> NDArray[np.int64]:
+    """As few rows of `covers` (S, E) as the `chosen` ones, which reach every edge, that do so at the least sum of `ties` (S,) 0..1."""
+    # All the ties of a cover together weigh less than one segment. In steps, more of them are equal and fewer rows matter.
+    steps = np.round(ties / TIE_STEP) * TIE_STEP
+    cover = minimum_cover(covers, 1.0 + steps / (len(chosen) + 1), 0)
+    return _exchanged(cover.chosen if len(cover.chosen) <= len(chosen) else chosen, covers, ties)
 
 
 def _exchanged(chosen: NDArray[np.int64], covers: Covers, ties: Array) -> NDArray[np.int64]:

@@ -45,7 +45,7 @@ def next_goal(
         rng: draws the greedy cover's candidates; a generator of seed 0 if None.
         outline: (H, W) bool, the tissue with its openings filled; segments stay inside it.
         seen: (N,) bool, keypoints that are seen on that image; those with finite points if None. An unknown edge is planned for only
-            where both its ends are seen.
+            where both its ends are seen; where they are not, segments keep off the place that the graph gives it, if any.
         goal_length: [m], of the goal, to say where segments lie; in percent of the goal if None.
 
     Returns:
@@ -66,13 +66,12 @@ def next_goal(
     if not np.isfinite(edges).all():
         message = "The place of an uncut edge is not known, so no segment can be planned."
         return NextGoal(Code.NO_CANDIDATE, message, NOTHING, (), left_out=left_out)
-    plan = (
-        _greedy(edges, tracked, config, rng, outline)
-        if config.cover == "greedy"
-        else _optimal(edges, tracked, config, rng, outline)
-    )
+    hidden = graph.points[graph.edges[unseen]]
+    barred = hidden[np.isfinite(hidden).all(axis=(1, 2))]
+    cover = _greedy if config.cover == "greedy" else _optimal
+    plan = cover(edges, tracked, config, rng, outline, barred)
     if not len(plan.segments):
-        return NextGoal(Code.NO_CANDIDATE, plan.note, NOTHING, (), left_out=left_out)
+        return NextGoal(Code.NO_CANDIDATE, plan.note + left_unseen(left_out), NOTHING, (), left_out=left_out)
     order, turned = least_travel(plan.segments, tracked)
     segments = np.where(turned[:, None, None], plan.segments[order][:, ::-1], plan.segments[order])
     severs = [uncut[plan.severs[k]] for k in order]
@@ -100,10 +99,15 @@ class Planned:
 
 
 def _greedy(
-    edges: Array, tracked: TrackedGoal, config: ReplanConfig, rng: np.random.Generator, outline: NDArray[np.bool_] | None
+    edges: Array,
+    tracked: TrackedGoal,
+    config: ReplanConfig,
+    rng: np.random.Generator,
+    outline: NDArray[np.bool_] | None,
+    barred: Array,
 ) -> Planned:
     """Algorithm 1, trimmed."""
-    greedy = greedy_cuts(edges, tracked, config, rng, outline)
+    greedy = greedy_cuts(edges, tracked, config, rng, outline, barred)
     if greedy.missing:
         return Planned(NOTHING, (), cannot_reach(greedy.missing, len(edges)))
     segments = greedy.segments
@@ -114,10 +118,15 @@ def _greedy(
 
 
 def _optimal(
-    edges: Array, tracked: TrackedGoal, config: ReplanConfig, rng: np.random.Generator, outline: NDArray[np.bool_] | None
+    edges: Array,
+    tracked: TrackedGoal,
+    config: ReplanConfig,
+    rng: np.random.Generator,
+    outline: NDArray[np.bool_] | None,
+    barred: Array,
 ) -> Planned:
     """The fewest segments, each drawn to the goal and trimmed; clear of the grasp if that reaches every edge."""
-    room = Room(outline, tracked.grasp, config.grasp_clearance)
+    room = Room(outline, tracked.grasp, config.grasp_clearance, barred)
     fewest = fewest_cuts(edges, tracked, config, room)
     near_grasp = bool(fewest.missing)
     if near_grasp:
@@ -127,13 +136,14 @@ def _optimal(
         return Planned(NOTHING, (), cannot_reach(fewest.missing, len(edges)))
     greedy = None
     if config.compare or not fewest.proven:
-        greedy = greedy_cuts(edges, tracked, config, rng, outline)
+        greedy = greedy_cuts(edges, tracked, config, rng, outline, barred)
         if not greedy.missing and len(greedy.segments) < len(fewest.segments) and greedy.near_grasp <= near_grasp:
             fewest = replace(fewest, segments=greedy.segments, covers=touch(greedy.segments, edges))
     severs = _shared_out(fewest, edges)
     segments, severs = fewest.segments[[len(cut) > 0 for cut in severs]], [cut for cut in severs if len(cut)]
     if config.trim:
-        segments = np.stack([_fitted(s, edges[cut], tracked, config, room) for s, cut in zip(segments, severs, strict=True)])
+        drawn = drawn_to_goal(segments, severs, edges, tracked.polyline, room)
+        segments = np.stack([_fitted(s, edges[cut], config, room) for s, cut in zip(drawn, severs, strict=True)])
     note = NEAR_GRASP * near_grasp + (PROVEN if fewest.proven else UNPROVEN)
     taken = None if greedy is None or greedy.missing else len(greedy.segments)
     return Planned(segments, tuple(severs), note, fewest.proven, taken)
@@ -159,9 +169,8 @@ def _shared_out(fewest: FewestCuts, edges: Array) -> list[NDArray[np.int64]]:
     return [np.flatnonzero(owner == k) for k in range(len(steps))]
 
 
-def _fitted(segment: Array, edges: Array, tracked: TrackedGoal, config: ReplanConfig, room: Room) -> Array:
-    """Draw `segment` (2, 2) to the goal, and cut no further than `edges` (K, 2, 2) and as much of the margin as there is room for."""
-    segment = drawn_to_goal(segment, edges, tracked.polyline, room)
+def _fitted(segment: Array, edges: Array, config: ReplanConfig, room: Room) -> Array:
+    """Shorten `segment` (2, 2) to the stretch that meets `edges` (K, 2, 2), and as much of the margin as there is room for."""
     core = _trimmed(segment, edges, 0.0)
     step = segment[1] - segment[0]
     direction = step / float(np.linalg.norm(step))

@@ -34,10 +34,11 @@ def distinct(sets: Sets) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def contained(a: Words, b: Words) -> NDArray[np.bool_]:
     """Which rows of `a` (A, W) are subsets of which rows of `b` (B, W): (A, B)."""
-    outside = np.zeros((len(a), len(b)), dtype=bool)
-    for k in range(a.shape[1]):
-        outside |= (a[:, None, k] & ~b[None, :, k]) != 0
-    return ~outside
+    beside = np.ascontiguousarray(~b.T)
+    outside = a[:, :1] & beside[0]
+    for k in range(1, a.shape[1]):
+        outside |= a[:, k : k + 1] & beside[k]
+    return np.asarray(outside == 0)
 
 
 def uncontained(sets: Sets) -> NDArray[np.int64]:
@@ -50,3 +51,9 @@ def uncontained(sets: Sets) -> NDArray[np.int64]:
         inside = contained(keys[block], keys[block]) & (block[None] < block[:, None])
         kept = np.concatenate([kept, block[~inside.any(axis=1)]])
     return kept
+
+
+def meeting(sets: Sets) -> NDArray[np.bool_]:
+    """Which rows of `sets` (S, E) have a member in common: (S, S)."""
+    keys = words(sets)
+    return ~contained(keys, ~keys)  # none in common: one lies in what the other leaves out

@@ -1,6 +1,7 @@
 """The minimum cover beside all covers there are."""
 
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skills.replan import cover as module
-from skills.replan.branching import cheapest_by_branching
 from skills.replan.cover import minimum_cover, telling_columns
+from skills.replan.sweep import cheapest_by_sweeping
 
 
 def instance(sets: int, members: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -43,28 +44,57 @@ def test_no_subset_is_a_cheaper_cover(sets: int, members: int, seed: int, unit: 
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(8, 30), st.integers(8, 30), st.integers(0, 10**6))
-def test_the_integer_programme_agrees_with_branching(sets: int, members: int, seed: int) -> None:
+def test_the_integer_programme_agrees_with_the_sweep(sets: int, members: int, seed: int) -> None:
     covers, costs = instance(sets, members, seed)
-    by_programme, bound = module._by_programme(covers, costs, 10**4, 1e-6)
-    by_branching, settled = cheapest_by_branching(covers, costs, 10**6, 1e-9)
-    assert settled
-    assert costs[by_programme].sum() == pytest.approx(costs[by_branching].sum(), abs=1e-5)
+    by_programme, bound = module._by_programme(covers, costs, 10**4)
+    swept, settled = cheapest_by_sweeping(covers, costs, 10**6)
+    assert settled and covers[swept].any(axis=0).all()
+    assert costs[by_programme].sum() == pytest.approx(costs[swept].sum(), abs=1e-5)
     assert bound == pytest.approx(costs[by_programme].sum(), abs=1e-4)
 
 
-def test_a_problem_too_great_for_branching_goes_to_the_programme(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sets_along_a_line_in_any_order_are_swept_with_few_states() -> None:
+    rng = np.random.default_rng(5)
+    place, first, reach = np.arange(100), rng.integers(0, 95, 300), rng.integers(2, 9, 300)
+    covers = (place >= first[:, None]) & (place < (first + reach)[:, None]) & (rng.random((300, 100)) < 0.95)
+    covers = np.concatenate([covers, np.eye(100, dtype=bool)])[:, rng.permutation(100)]
+    costs = 1.0 + 0.1 * rng.random(400)
+    swept, settled = cheapest_by_sweeping(covers, costs, module.WIDTH)
+    by_programme, _ = module._by_programme(covers, costs, 10**4)
+    assert settled and covers[swept].any(axis=0).all()
+    assert costs[swept].sum() == pytest.approx(costs[by_programme].sum(), abs=1e-4)
+
+
+def test_a_sweep_that_is_too_wide_covers_and_claims_nothing() -> None:
+    covers, costs = instance(25, 25, 3)
+    swept, settled = cheapest_by_sweeping(covers, costs, 1)
+    assert covers[swept].any(axis=0).all() and not settled
+
+
+def test_a_problem_too_wide_for_the_sweep_goes_to_the_programme(monkeypatch: pytest.MonkeyPatch) -> None:
     covers, costs = instance(25, 25, 3)
     settled = minimum_cover(covers, costs, 1000)
-    monkeypatch.setattr(module, "SMALL", 1)
-    assert minimum_cover(covers, costs, 1000).cost == pytest.approx(settled.cost, abs=1e-5)
+    monkeypatch.setattr(module, "WIDTH", 1)
+    cover = minimum_cover(covers, costs, 1000)
+    assert cover.cost == pytest.approx(settled.cost, abs=1e-5)
+    assert cover.bound == pytest.approx(settled.bound, abs=1e-4)
 
 
 def test_without_a_settled_search_there_is_a_cover_but_no_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     covers, costs = instance(25, 25, 3)
-    monkeypatch.setattr(module, "SMALL", 1)
+    monkeypatch.setattr(module, "WIDTH", 1)
     cover = minimum_cover(covers, costs, 0)
     assert covers[cover.chosen].any(axis=0).all()
     assert cover.bound < minimum_cover(covers, costs, 1000).bound
+
+
+def test_a_programme_that_fails_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    covers, costs = instance(25, 25, 3)
+    failed = SimpleNamespace(status=4, mip_dual_bound=1e3, x=None)
+    monkeypatch.setattr(module, "WIDTH", 1)
+    monkeypatch.setattr(module, "milp", lambda *_, **__: failed)
+    cover = minimum_cover(covers, costs, 1000)
+    assert covers[cover.chosen].any(axis=0).all() and cover.bound == 0.0
 
 
 @settings(max_examples=40, deadline=None)

@@ -54,7 +54,7 @@ def test_no_cover_there_is_has_fewer_segments(count: int, seed: int) -> None:
 def test_the_cover_is_never_larger_than_the_greedy_one(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     edges = across(rng, count)
-    greedy = greedy_cuts(edges, TRACKED, CONFIG, rng, None)
+    greedy = greedy_cuts(edges, TRACKED, CONFIG, rng, None, edges[:0])
     fewest = fewest_cuts(edges, TRACKED, CONFIG, ROOM)
     assert_severs(fewest, edges)
     assert fewest.bound <= len(fewest.segments) <= len(greedy.segments)
@@ -65,7 +65,7 @@ def test_jagged_edges_take_fewer_segments_than_the_greedy_cover() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         edges = across(rng, 40)
-        greedy = greedy_cuts(edges, TRACKED, CONFIG, rng, None)
+        greedy = greedy_cuts(edges, TRACKED, CONFIG, rng, None, edges[:0])
         saved.append(len(greedy.segments) - len(fewest_cuts(edges, TRACKED, CONFIG, ROOM).segments))
     assert np.mean(saved) > 0.5
 

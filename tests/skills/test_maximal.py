@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hardware.interface import Array
-from skills.replan.maximal import Cuts, maximal_cuts
+from skills.replan.maximal import Cuts, maximal_cuts, maximal_rows
 from skills.scene.segments import touch
 from tests.skills.uncut import across, anywhere, segments_among
 
@@ -14,7 +14,7 @@ LENGTH = 60.0
 MANY = 10**6
 
 
-def cuts_of(edges: Array, known: Cuts | None = None) -> Cuts:
+def cuts_of(edges: Array, known: np.ndarray | None = None) -> Cuts:
     cuts = maximal_cuts(edges, LENGTH, MANY, known)
     assert cuts is not None
     return cuts
@@ -39,10 +39,14 @@ def test_no_segment_cuts_a_set_that_no_candidate_cuts(count: int, seed: int, jum
 def test_what_is_known_already_shortens_the_search_without_losing_anything(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     edges = across(rng, count, length=120.0)
-    known = segments_among(rng, edges, LENGTH, 50)
-    cuts = cuts_of(edges, Cuts(known, touch(known, edges)))
-    assert lost(edges, cuts, segments_among(rng, edges, LENGTH, 4000)) == 0
-    assert {row.tobytes() for row in cuts.covers} == {row.tobytes() for row in cuts_of(edges).covers}
+    segments = segments_among(rng, edges, LENGTH, 50)
+    known = touch(segments, edges)
+    new = cuts_of(edges, known)
+    together = Cuts(np.concatenate([segments, new.segments]), np.concatenate([known, new.covers]))
+    assert lost(edges, together, segments_among(rng, edges, LENGTH, 4000)) == 0
+    every = {row.tobytes() for row in cuts_of(edges).covers}
+    assert {row.tobytes() for row in new.covers} <= every
+    assert {row.tobytes() for row in together.covers[maximal_rows(together.covers)]} == every
 
 
 @settings(max_examples=40, deadline=None)

@@ -129,6 +129,33 @@ def test_unknown_edges_that_are_not_seen_are_left_out_and_counted() -> None:
     assert not touch(plan.segments, graph.points[graph.edges[CROSSING[[20]]]]).any()
 
 
+@COVERS
+@pytest.mark.parametrize("trim", [True, False])
+def test_no_segment_passes_over_an_unknown_edge_that_is_not_seen(cover: Literal["optimal", "greedy"], trim: bool) -> None:
+    graph = graph_with([18, 19, 21, 22], unknown=[20])
+    hidden = graph.edges[CROSSING[20]]
+    seen = np.ones(len(graph.points), dtype=bool)
+    config = ReplanConfig(cover=cover, trim=trim)
+    assert len(next_goal(graph, TRACKED, config, seen=seen).segments) == 1
+    seen[hidden[0]] = False
+    plan = next_goal(graph, TRACKED, config, seen=seen)
+    assert sorted(e for edges in plan.severs for e in edges) == sorted(CROSSING[[18, 19, 21, 22]].tolist())
+    assert not touch(plan.segments, graph.points[hidden][None]).any()
+    assert plan.left_out == 1 and len(plan.segments) > 1
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sets(st.integers(0, len(CROSSING) - 1), min_size=1), st.sets(st.integers(0, len(CROSSING) - 1)), st.integers(0, 1000))
+def test_whatever_is_not_seen_is_never_cut(uncut: set[int], unknown: set[int], seed: int) -> None:
+    graph = graph_with(sorted(uncut), unknown=sorted(unknown - uncut))
+    jitter = np.random.default_rng(seed).normal(0.0, 3.0, graph.points.shape)
+    graph = replace(graph, points=graph.points + jitter)
+    plan = next_goal(graph, TRACKED, ReplanConfig(compare=False), seen=np.zeros(len(graph.points), dtype=bool))
+    hidden = graph.points[graph.edges[CROSSING[sorted(unknown - uncut)]]]
+    assert not touch(plan.segments, hidden).any()
+    assert plan.code is Code.NO_CANDIDATE or sorted(e for edges in plan.severs for e in edges) == sorted(CROSSING[sorted(uncut)])
+
+
 def test_unknown_edges_without_a_place_are_not_seen() -> None:
     graph = graph_with([5], unknown=[20])
     points = graph.points.copy()
