@@ -18,6 +18,10 @@ class Code(StrEnum):
     ARM_FAULT = "arm_fault"
     TENSION_ABORT = "tension_abort"
     RECORDER_FAILED = "recorder_failed"
+    SETUP_CHANGED = "setup_changed"  # instrument, frame or base are not what was configured and calibrated
+    FOREIGN_MOTION = "foreign_motion"  # somebody else drives an arm
+    DEADMAN = "deadman"  # it is gone, or it holds the arms
+    CONNECTION_LOST = "connection_lost"
     # Recoverable conditions and refusals by the safety gate
     ARM_NOT_READY = "arm_not_ready"
     ARM_DATA_STALE = "arm_data_stale"
@@ -57,6 +61,18 @@ class Code(StrEnum):
     NO_CANDIDATE = "no_candidate"
     # Input
     BAD_INPUT = "bad_input"
+
+
+LATCHED = (
+    Code.EMERGENCY_STOP,
+    Code.ARM_FAULT,
+    Code.TENSION_ABORT,
+    Code.RECORDER_FAILED,
+    Code.SETUP_CHANGED,
+    Code.FOREIGN_MOTION,
+    Code.DEADMAN,
+    Code.CONNECTION_LOST,
+)
 
 
 class InputError(ValueError):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.codes import Code
+from hardware.verdicts import Verdict
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -155,18 +156,22 @@ class OperatingState(StrEnum):
 
 @dataclass(frozen=True)
 class ArmState:
-    """CRTK operating state of one arm, received at bench time `stamp` [s]; `error` is the robot's own text."""
+    """CRTK operating state of one arm, received at bench time `stamp` [s]; `error` is the robot's own text.
+
+    `guard` is what a driver that checks more than the robot does has to say: while it is not ok, the arm is not to be moved.
+    """
 
     state: OperatingState
     is_homed: bool
     is_busy: bool
     stamp: float
     error: str = ""
+    guard: Verdict = Verdict(True)  # noqa: RUF009 - frozen
 
     @property
     def ready(self) -> bool:
-        """ENABLED and homed."""
-        return self.state is OperatingState.ENABLED and self.is_homed
+        """ENABLED, homed, and nothing in the way."""
+        return self.state is OperatingState.ENABLED and self.is_homed and self.guard.ok
 
 
 class MoveStatus(StrEnum):

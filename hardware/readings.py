@@ -29,6 +29,8 @@ class Readings:
         state = self._bench.arms[name].operating_state()
         if state.state is OperatingState.FAULT:
             return Refusal(Code.ARM_FAULT, f"{name} has a fault: {state.error or 'the robot gives no reason'}")
+        if not state.guard.ok:
+            return Refusal(state.guard.code, f"{name} may not move: {state.guard.message}")
         if not state.ready:
             homed = "homed" if state.is_homed else "not homed"
             return Refusal(Code.ARM_NOT_READY, f"{name} is {state.state.value.lower()} and {homed}; it must be enabled and homed")
@@ -42,10 +44,14 @@ class Readings:
         return Refusal(Code.CAMERA_STALE, f"the newest image is {self._age(stamp)}; at most {limit * 1e3:.0f} ms are allowed")
 
     def fault(self) -> Refusal | None:
-        """Give the first arm's fault, if one has any."""
-        for name, arm in self._bench.arms.items():
-            if arm.operating_state().state is OperatingState.FAULT:
+        """Give the first arm's fault, if one has any; or else what its driver calls past all waiting."""
+        states = {name: arm.operating_state() for name, arm in self._bench.arms.items()}
+        for name, state in states.items():
+            if state.state is OperatingState.FAULT:
                 return self.arm(name)
+        for name, state in states.items():
+            if not state.guard.ok and state.guard.latched:
+                return Refusal(state.guard.code, f"{name} may not move: {state.guard.message}")
         return None
 
     def loss(self) -> Refusal | None:
@@ -62,11 +68,10 @@ class Readings:
 
     def check_arms(self) -> Verdict:
         """Whether both arms are enabled, homed and fresh; a fault is latched."""
-        refusals = [refusal for name in self._bench.arms if (refusal := self.arm(name))]
-        if not refusals:
-            return Verdict(True)
-        worst = next((refusal for refusal in refusals if refusal.code is Code.ARM_FAULT), refusals[0])
-        return Verdict(False, worst.code is Code.ARM_FAULT, worst.code, worst.message)
+        if fault := self.fault():
+            return Verdict(False, True, fault.code, fault.message)
+        refusal = next((refusal for name in self._bench.arms if (refusal := self.arm(name))), None)
+        return Verdict(False, False, refusal.code, refusal.message) if refusal else Verdict(True)
 
     def check_camera(self) -> Verdict:
         """Whether the newest frame is young enough for motion."""

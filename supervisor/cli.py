@@ -1,4 +1,4 @@
-"""The command line: `dissect run`, `watch`, `replay`, `doctor`, `experiment`."""
+"""The command line: `dissect run`, `watch`, `replay`, `doctor`, `serve-stub`, `experiment`."""
 
 from __future__ import annotations
 
@@ -66,6 +66,13 @@ class Approve(StrEnum):
     PROMPT = "prompt"
 
 
+class BenchKind(StrEnum):
+    """What a session runs on."""
+
+    STUB = "stub"
+    DVRK = "dvrk"
+
+
 class ViewKind(StrEnum):
     """What shows a running session."""
 
@@ -89,13 +96,19 @@ TrackerOption = Annotated[
     str, typer.Option(help="dis, dis-chained, lk, litetracker, cotracker3, raft, or a tracker exported to .onnx or .pt2.")
 ]
 WeightsOption = Annotated[Path | None, typer.Option("--tracker-weights", help="Checkpoint file of a learned tracker.")]
+BenchOption = Annotated[BenchKind, typer.Option("--bench", help="The simulated bench, or a da Vinci Research Kit.")]
+ConfigOption = Annotated[Path | None, typer.Option("--config", help="The robot's configuration (robot.toml), for --bench dvrk.")]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file.")]
 
 
 @app.command()
 def run(
+    bench_kind: BenchOption = BenchKind.STUB,
+    config: ConfigOption = None,
     scene: SceneOption = "silicone",
-    goal: Annotated[Path | None, typer.Option(help="Goal file (JSON); default: what an expert would draw on the scene.")] = None,
+    goal: Annotated[
+        Path | None, typer.Option(help="Goal file (JSON); default, on the stub alone: what an expert would draw on the scene.")
+    ] = None,
     agent: Annotated[Agent, typer.Option(help="Dissection agent.")] = Agent.PLANNING,
     expose: ExposeOption = Expose.OPTIMAL,
     rule: RuleOption = Rule.LIKELIHOOD,
@@ -110,16 +123,19 @@ def run(
     feedback: Annotated[bool, typer.Option(help="Expose, estimate and replan after each attempt.")] = True,
     seed: Annotated[int, typer.Option(min=0, help="Gives every random draw.")] = 0,
     record: Annotated[Path | None, typer.Option(help="Folder of the record; default: a new one under sessions/.")] = None,
-    approve: Annotated[Approve, typer.Option(help="Approve goals automatically, or ask at the terminal.")] = Approve.AUTO,
+    approve: Annotated[
+        Approve | None, typer.Option(help="Approve goals automatically (the stub's default), or ask at the terminal.")
+    ] = None,
     view: Annotated[ViewKind, typer.Option(help="What shows the session while it runs.")] = ViewKind.TERMINAL,
     json_file: JsonOption = None,
 ) -> None:
-    """Run one supervised session on the stub bench."""
+    """Run one supervised session on the stub bench or on a robot, where every goal is approved by the operator."""
     from hardware.stub.scene import load_scene
     from skills.estimate.rule import Rule as EdgeRule
     from supervisor.approvers import AutoApprover, PromptApprover
     from supervisor.choices import Choices
-    from supervisor.run import RunOptions, exit_status, prepare
+    from supervisor.robot import connect
+    from supervisor.run import RunOptions, exit_status, prepare, prepare_robot
     from supervisor.run import run as run_session
     from supervisor.skillset import ExposureKind
     from supervisor.terminal import TerminalView
@@ -127,29 +143,35 @@ def run(
     from supervisor.warp_start import start_warp
 
     console = Console()
-    loaded = load_scene(scene)
-    folder = record or _new_folder(loaded.name, seed)
+    robot_file = _robot_file(bench_kind, config)
+    if robot_file is not None and approve is Approve.AUTO:
+        raise InputError("on a robot every goal is approved by the operator; leave --approve auto out")
+    asks = robot_file is not None or approve is Approve.PROMPT
+    loaded = load_scene(scene) if robot_file is None else None
+    name = "robot" if loaded is None else loaded.name
+    folder = record or _new_folder(name, seed)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"the record folder {folder} is already there and not empty; name a new one")
     covering: Literal["optimal", "greedy"] = "greedy" if cover is Cover.GREEDY else "optimal"
     choices = Choices(ExposureKind(expose.value), EdgeRule(rule.value), covering, tracker, weights, device)
-    options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, approve is Approve.PROMPT, choices)
-    start_warp()
-    with console.status("preparing the bench (the first run compiles its kernels)"):
-        bench, checked = prepare(options)
-    rerun = None
-    if view is ViewKind.RERUN:
-        folder.mkdir(parents=True, exist_ok=True)
-        rerun = RerunView(folder, serve=True)
-        console.print(rerun.how_to_open)
-    terminal = None if view is ViewKind.NONE else TerminalView(console, title=f"{loaded.name}, seed {seed}")
+    options = RunOptions(loaded, goal, agent.value, attempts, feedback, seed, folder, asks, choices)
+    terminal: TerminalView | None = None
 
     def ask(question: str) -> str:
         if terminal is not None:
             terminal.pause()
         return console.input(question, markup=False)
 
-    approver = AutoApprover() if approve is Approve.AUTO else PromptApprover(ask)
+    start_warp()
+    with console.status("preparing the bench (the first run compiles its kernels)"):
+        bench, checked = prepare(options) if robot_file is None else prepare_robot(options, connect(robot_file, ask))
+    rerun = None
+    if view is ViewKind.RERUN:
+        folder.mkdir(parents=True, exist_ok=True)
+        rerun = RerunView(folder, serve=True)
+        console.print(rerun.how_to_open)
+    terminal = None if view is ViewKind.NONE else TerminalView(console, title=f"{name}, seed {seed}")
+    approver = PromptApprover(ask) if asks else AutoApprover()
     try:
         result = run_session(options, bench, checked, approver, [] if terminal is None else [terminal], rerun)
     except KeyboardInterrupt:
@@ -157,12 +179,14 @@ def run(
         raise typer.Exit(3) from None
     _write_json(json_file, dataclasses.asdict(result))
     console.print(f"\n[bold]{result.outcome}[/bold]: {escape(result.message)}")
-    judged = "success" if result.success else "no success"
-    strands = f"{result.attachments} attachment{'' if result.attachments == 1 else 's'} left"
-    console.print(
-        f"Judged by the mesh: {judged}; {strands}, length deviation {result.length_deviation_m * 1e3:.1f} mm, "
-        f"{result.attempts} attempt{'' if result.attempts == 1 else 's'}, {result.wall_s:.0f} s."
-    )
+    took = f"{result.attempts} attempt{'' if result.attempts == 1 else 's'}, {result.wall_s:.0f} s."
+    if result.length_deviation_m is None:
+        console.print(took)
+    else:
+        judged = "success" if result.success else "no success"
+        strands = f"{result.attachments} attachment{'' if result.attachments == 1 else 's'} left"
+        deviation = f"length deviation {result.length_deviation_m * 1e3:.1f} mm"
+        console.print(f"Judged by the mesh: {judged}; {strands}, {deviation}, {took}")
     console.print(f"Record: {folder}\nReport: {folder / 'report.html'}")
     raise typer.Exit(exit_status(result.code))
 
@@ -187,15 +211,49 @@ def watch(where: Annotated[Path, typer.Argument(help="A session's folder, or the
 
 
 @app.command()
-def doctor(json_file: JsonOption = None) -> None:
-    """Say what this machine can and cannot run, and why."""
+def doctor(bench_kind: BenchOption = BenchKind.STUB, config: ConfigOption = None, json_file: JsonOption = None) -> None:
+    """Say what this machine can and cannot run, and why; with --bench dvrk also what a robot tells, and what would block a session."""
     from supervisor.doctor import able, diagnose, table
     from supervisor.plain import plain
 
+    robot_file = _robot_file(bench_kind, config)
     checks = diagnose(Path())
+    if robot_file is not None:
+        from supervisor.robot import diagnose_robot
+
+        with Console().status("listening to the robot"):
+            checks += diagnose_robot(robot_file)
     _write_json(json_file, plain(checks))
     Console().print(table(checks))
     raise typer.Exit(0 if able(checks) else 1)
+
+
+@app.command(name="serve-stub")
+def serve_stub(
+    scene: SceneOption = "silicone",
+    seed: Annotated[int, typer.Option(min=0, help="Gives every random draw.")] = 0,
+    folder: Annotated[Path, typer.Option(help="Where robot.toml and the hand-eye files are written.")] = Path("stub-robot"),
+    transport: Annotated[str, typer.Option(help="ros1 (ROS_MASTER_URI) or ros2.")] = "ros1",
+    prefix: Annotated[str, typer.Option(help="Namespace in front of all topics, such as /dvrk.")] = "",
+    pictures: Annotated[float, typer.Option(min=0.1, max=30.0, help="Most pairs of images per second.")] = 10.0,
+) -> None:
+    """Publish the stub bench as a da Vinci robot on a ROS graph, until interrupted."""
+    import signal
+
+    from hardware.stub.scene import load_scene
+    from supervisor.serve_stub import ServeOptions, serve
+    from supervisor.warp_start import start_warp
+
+    console = Console()
+    options = ServeOptions(load_scene(scene), seed, folder, transport, prefix, pictures)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    start_warp()
+
+    def ready(path: Path) -> None:
+        console.print(f"{options.scene.name}, seed {seed}, is on the graph. Its configuration: {path}", soft_wrap=True)
+        console.print(f"dissect run --bench dvrk --config {path}", style="bold", soft_wrap=True)
+
+    serve(options, ready)
 
 
 @experiment.command()
@@ -330,6 +388,17 @@ def main() -> None:
         said = Text.assemble(("dissect: ", "red"), f"{sentence[0].lower()}{sentence[1:]}.")
         Console(stderr=True).print(said, soft_wrap=True)
         sys.exit(2)
+
+
+def _robot_file(bench: BenchKind, config: Path | None) -> Path | None:
+    """The robot's configuration; None on the stub."""
+    if bench is BenchKind.STUB:
+        if config is not None:
+            raise InputError("--config is for a robot: give --bench dvrk too, or leave it out")
+        return None
+    if config is None:
+        raise InputError("--bench dvrk needs the robot's configuration: --config robot.toml (docs/robot.toml explains it)")
+    return config
 
 
 def _new_folder(scene: str, seed: int) -> Path:

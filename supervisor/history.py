@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hardware.codes import Code
+from hardware.codes import LATCHED, Code
 from hardware.interface import CUTTER
 from skills.estimate.graph import EdgeState
 from supervisor import topics
@@ -14,14 +14,7 @@ from supervisor.reading import Entry, SessionRecord
 
 GUARDS = "guards"
 TOGETHER = 1.0  # [s]; refusals of one kind closer than this are told as one
-STOPPED = {
-    Code.ABORTED,
-    Code.INTERNAL_ERROR,
-    Code.EMERGENCY_STOP,
-    Code.ARM_FAULT,
-    Code.TENSION_ABORT,
-    Code.RECORDER_FAILED,
-}
+STOPPED = {Code.ABORTED, Code.INTERNAL_ERROR, *LATCHED}
 
 
 @dataclass(frozen=True)

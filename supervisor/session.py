@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,7 +52,10 @@ class SessionSetup:
 
 
 class Session:
-    """Ticks one tree on one bench. `recorder` and `views` are told every tick; `after_attempt` is called when an attempt has ended."""
+    """Ticks one tree on one bench. `recorder` and `views` are told every tick; `after_attempt` is called when an attempt has ended.
+
+    Without an `executor` long computations run within the tick: on a robot, where time goes on meanwhile, they must not.
+    """
 
     def __init__(
         self,
@@ -62,6 +66,7 @@ class Session:
         views: Sequence[View] = (),
         after_attempt: Callable[[int], None] = lambda attempt: None,
         pace: Callable[[float], None] = lambda duration: None,
+        executor: Executor | None = None,
     ) -> None:
         self.bench = bench
         self.setup = setup
@@ -73,7 +78,9 @@ class Session:
         self._notes: list[str] = []
         self.gate = SafetyGate(bench, setup.limits, self._decided)
         folder = None if recorder is None else recorder.folder
-        self.skills = SessionSkills(self.gate, setup.skills, ImmediateExecutor(), setup.seed, setup.calibration, folder)
+        self.skills = SessionSkills(
+            self.gate, setup.skills, executor or ImmediateExecutor(), setup.seed, setup.calibration, folder
+        )
         py_trees.blackboard.Blackboard.clear()
         self.root = create_root(
             Services(

@@ -26,6 +26,7 @@ EXPOSED = "/exposed"  # how a pull went and why it ended; with the controller, w
 EXPOSURE = "/exposure"  # each step that the exposure controller planned
 EXPOSURE_MESH = "/exposure/mesh"  # triangles of its expected mesh, once for each exposure
 TRUTH = "/truth"  # the simulated bench only; never read by the controller
+BENCH = "/bench"  # a robot only: rates, delays and losses of its topics since the session began
 OUTCOME = "/outcome"
 ENDOSCOPE = "/endoscope"  # left image, foxglove.CompressedImage
 
@@ -149,6 +150,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "visible_area_px": NUMBER,
         },
     ),
+    BENCH: ("dissect.Bench", {"topics": LIST, "unpaired_images": INTEGER, "monitor": {"type": "object"}, "late_ticks": INTEGER}),
     OUTCOME: ("dissect.Outcome", {}),
     ENDOSCOPE: (
         "foxglove.CompressedImage",
