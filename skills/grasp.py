@@ -24,6 +24,7 @@ class GraspConfig:
     pull_speed: float = 5e-3
     shaft_tilt: float = np.deg2rad(30.0)  # of the shaft from the surface normal, away from the goal
     test_pull: float = 2e-3
+    test_pulls: int = 3  # one after the other, until the force is felt: soft tissue that lies loose comes along at first
     least_tension: float = 0.04  # [N] that a test pull of caught tissue gives
 
 
@@ -31,7 +32,7 @@ class GraspConfig:
 class Grasped:
     """Tissue in the jaws: the pose `origin` at which they closed and the surface `normal` (3,) there, towards the camera.
 
-    `test_tension` [N] is what the test pull of `test_pull` [m] along the normal met: it tells soft tissue from stiff.
+    `test_tension` [N] is what a pull of `test_pull` [m] along the normal met: it tells soft tissue from stiff.
     """
 
     origin: Pose
@@ -62,15 +63,22 @@ def take(lease: Lease, point: Array, normal: Array, away: Array, config: GraspCo
         return report, None
     yield from pause(lease, 0.1, "closing the grasper")
     origin = lease.setpoint_cp(GRASPER)
-    report = yield from servo_line(
-        lease, GRASPER, origin.moved(config.test_pull * normal), config.pull_speed, "testing the grasp"
-    )
-    if report.status is MoveStatus.FAILED:
-        return report, None
-    yield from pause(lease, 0.2, "testing the grasp")
-    if not lease.tension() >= config.least_tension:
-        found = f"a pull of {config.test_pull * 1e3:.0f} mm met {lease.tension():.2f} N"
-        # Empty jaws left over the grasp point would hide it from whoever tries again.
-        yield from wait(lease.move_cp(GRASPER, above), "backing off with empty jaws")
-        return MoveReport(MoveStatus.FAILED, Code.GRASP_EMPTY, f"the grasper closed but holds nothing: {found}"), None
-    return report, Grasped(origin, normal, config.test_pull, lease.tension())
+    for number in range(1, config.test_pulls + 1):
+        pulled = number * config.test_pull
+        report = yield from servo_line(lease, GRASPER, origin.moved(pulled * normal), config.pull_speed, "testing the grasp")
+        if report.status is MoveStatus.FAILED:
+            return report, None
+        yield from pause(lease, 0.2, "testing the grasp")
+        if lease.tension() >= config.least_tension:
+            return report, Grasped(origin, normal, pulled, lease.tension())
+    # Empty jaws left over the grasp point would hide it from whoever tries again. They open first: what is held too loosely to be felt
+    # must not be dragged along.
+    for motion in (
+        wait(lease.move_jaw(GRASPER, config.jaw_open), "opening the empty jaws"),
+        wait(lease.move_cp(GRASPER, above), "backing off"),
+    ):
+        backed = yield from motion
+        if backed.status is MoveStatus.FAILED:
+            break
+    found = f"a pull of {pulled * 1e3:.0f} mm met {lease.tension():.2f} N"
+    return MoveReport(MoveStatus.FAILED, Code.GRASP_EMPTY, f"the grasper closed but holds nothing: {found}"), None

@@ -26,3 +26,29 @@ def test_empty_jaws_back_off_and_caught_tissue_is_held(tension, caught, monkeypa
     else:
         assert report.code is Code.GRASP_EMPTY
         assert above == pytest.approx(config.clearance * np.cos(config.shaft_tilt) - config.bite, abs=1e-4)
+
+
+def test_tissue_that_comes_along_at_first_is_pulled_on_until_it_is_felt(monkeypatch):
+    table, config = Table(), GraspConfig()
+
+    def tension(lease):
+        lifted = float((lease.setpoint_cp(GRASPER).position - POINT) @ NORMAL) + config.bite
+        return 0.2 if lifted > 1.5 * config.test_pull else 0.01
+
+    monkeypatch.setattr(type(table.lease), "tension", tension)
+
+    report, grasped = table.finish(take(table.lease, POINT, NORMAL, AWAY, config))
+
+    assert report.status is MoveStatus.DONE and grasped is not None
+    assert (grasped.test_pull, grasped.test_tension) == (2 * config.test_pull, 0.2)
+
+
+def test_jaws_that_hold_nothing_open_before_they_leave(monkeypatch):
+    table, config = Table(), GraspConfig()
+    monkeypatch.setattr(type(table.lease), "tension", lambda self: 0.0)
+
+    table.finish(take(table.lease, POINT, NORMAL, AWAY, config))
+
+    opening, leaving = table.bench.motions(GRASPER)[-2:]
+    assert (opening.name, opening.target) == ("move_jaw", config.jaw_open)
+    assert leaving.name == "move_cp"
