@@ -44,9 +44,11 @@ def servo_line(lease: Lease, arm: str, target: Pose, speed: float, doing: str, s
         now = lease.now()
         # A late tick must not become a long step.
         step = min(speed * (now - last), 0.9 * lease.limits.max_step)
-        last = now
         fraction = min(1.0, fraction + min(step / max(travel, 1e-9), TURN_PER_TICK / max(turning, 1e-9)))
         report = lease.servo_cp(arm, _between(start, target, fraction))
+        # From after the command to before the next: on a robot time goes on in between, and by the gate's clock, which looks within the
+        # call, a step is never faster than this.
+        last = lease.now()
         if report.status is MoveStatus.FAILED:
             return report
     until = lease.now() + ARRIVAL_TIME

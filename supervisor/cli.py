@@ -232,12 +232,15 @@ def doctor(bench_kind: BenchOption = BenchKind.STUB, config: ConfigOption = None
 def serve_stub(
     scene: SceneOption = "silicone",
     seed: Annotated[int, typer.Option(min=0, help="Gives every random draw.")] = 0,
-    folder: Annotated[Path, typer.Option(help="Where robot.toml and the hand-eye files are written.")] = Path("stub-robot"),
+    folder: Annotated[
+        Path, typer.Option(help="Where robot.toml, the hand-eye files, goal.json and, at the end, truth.json go.")
+    ] = Path("stub-robot"),
     transport: Annotated[str, typer.Option(help="ros1 (ROS_MASTER_URI) or ros2.")] = "ros1",
     prefix: Annotated[str, typer.Option(help="Namespace in front of all topics, such as /dvrk.")] = "",
     pictures: Annotated[float, typer.Option(min=0.1, max=30.0, help="Most pairs of images per second.")] = 10.0,
 ) -> None:
-    """Publish the stub bench as a da Vinci robot on a ROS graph, until interrupted."""
+    """Publish the stub bench as a da Vinci robot on a ROS graph, until interrupted; then write the truth about the tissue."""
+    import shlex
     import signal
 
     from hardware.stub.scene import load_scene
@@ -249,9 +252,12 @@ def serve_stub(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     start_warp()
 
-    def ready(path: Path) -> None:
-        console.print(f"{options.scene.name}, seed {seed}, is on the graph. Its configuration: {path}", soft_wrap=True)
-        console.print(f"dissect run --bench dvrk --config {path}", style="bold", soft_wrap=True)
+    def ready(robot: Path, drawn: Path) -> None:
+        console.print(
+            f"{options.scene.name}, seed {seed}, is on the graph. Its configuration: {escape(str(robot))}", soft_wrap=True
+        )
+        command = shlex.join(["dissect", "run", "--bench", "dvrk", "--config", str(robot), "--goal", str(drawn)])
+        console.print(command, style="bold", markup=False, highlight=False, soft_wrap=True)
 
     serve(options, ready)
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import math
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +24,7 @@ from supervisor.skillset import SkillConfig
 NODE = "dissection_supervisor"
 SPARE = math.radians(1.0)  # kept from the jaw's own limit
 SHORTEST_SNIP = 0.5e-3  # [m]
+TURN = 0.5e-3  # [s] after which a thread of Python hands over
 
 
 def connect(file: Path, ask: Callable[[str], str]) -> BenchDVRK:
@@ -31,11 +34,24 @@ def connect(file: Path, ask: Callable[[str], str]) -> BenchDVRK:
         InputError: the configuration or a calibration is wrong, ROS is not there, or its master does not answer.
     """
     config = load_robot(file)
+    stay_prompt()
     try:
         transport = make_transport(config.transport, NODE)
         return BenchDVRK(config, transport, energy=OperatorEnergy(ask), wall=time.time())
     except TransportError as error:
         raise InputError(str(error)) from error
+
+
+def stay_prompt() -> None:
+    """Keep the threads of this process, the driver's monitor among them, from waiting long for one another.
+
+    Python's interpreter serves one thread at a time. A look of the monitor takes it 1 ms; but with a thread for each topic and Python's own
+    turns of 5 ms some looks took 55 ms, of the 100 ms that the deadman allows. And a full garbage collection goes through all
+    that was ever imported, 100 ms and more in one go: what is there now is left out of all later ones.
+    """
+    sys.setswitchinterval(TURN)
+    gc.collect()
+    gc.freeze()
 
 
 def diagnose_robot(file: Path) -> list[Check]:

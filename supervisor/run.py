@@ -7,6 +7,7 @@ A session is the same on every bench. What differs stands apart: how a bench is 
 from __future__ import annotations
 
 import dataclasses
+import gc
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -162,6 +163,8 @@ def run(
     shown = (*views, *([] if rerun is None else [rerun]))
     session = Session(bench, setup, approver, recorder, shown, judge, pace, executor)
     outcome = SessionOutcome(Code.INTERNAL_ERROR, "the session ended with an error")
+    if stub is None:
+        gc.freeze()  # as in `stay_prompt`: what was made since then stays, too
     try:
         outcome = session.run()
     except KeyboardInterrupt:

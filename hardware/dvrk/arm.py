@@ -58,7 +58,7 @@ class Known:
 class ArmDVRK:
     """Implements `hardware.interface.Arm`; `step` is to be called by the bench's monitor at its rate.
 
-    `role` is the arm's name in the session (`GRASPER` or `CUTTER`); `outside` tells what stands in the way beside the arm itself.
+    `role` is its name in the session (`GRASPER`, `CUTTER`), `outside` what stands in the way; until `opened` it sends nothing unasked.
     """
 
     def __init__(
@@ -70,10 +70,11 @@ class ArmDVRK:
         transport: Transport,
         now: Callable[[], float],
         outside: Callable[[], Verdict],
+        opened: Callable[[], bool],
         energy: Energy,
     ) -> None:
         self._role, self._config, self._arm, self._frames = role, config, arm, frames
-        self._transport, self._now, self._outside = transport, now, outside
+        self._transport, self._now, self._outside, self._opened = transport, now, outside, opened
         self._lock = threading.RLock()
         namespace = config.topic(arm.name)
         epoch = transport.clock() - now()
@@ -95,9 +96,8 @@ class ArmDVRK:
         self._refused: tuple[float, Verdict] = (-math.inf, must.FINE)
         self._commanded_at = -math.inf
         self._ratio_sent = -math.inf
-        self._known = Known(
-            self._topics.read(), Verdict(False, False, Code.ARM_NOT_READY, "the arm was not looked at yet"), -math.inf
-        )
+        unseen = Verdict(False, False, Code.ARM_NOT_READY, "the arm was not looked at yet")
+        self._known = Known(self._topics.read(), unseen, -math.inf)
 
     # ------------------------------------------------------------ interface.Arm
 
@@ -147,7 +147,7 @@ class ArmDVRK:
         """Go on to `pose`, a short step away. A pose that the arm would alter is not sent, and keeps the arm from moving for a moment."""
         with self._lock:
             now = self._now()
-            reason = self._why_not(now) or self._unreachable([pose])
+            reason = self._why_not(now) or unreachable(self._arm, self._frames, self._topics.read(), [pose])
             if self._jaw.moving or self._waiting:
                 reason = f"the jaw of {self._arm.name} moves: the arm moves only while its jaw stands still"
             if reason:
@@ -201,6 +201,10 @@ class ArmDVRK:
         """How the arm's periodic topics came in."""
         return self._topics.figures()
 
+    def sources(self) -> dict[str, int]:
+        """How many nodes publish each of the arm's periodic topics."""
+        return self._topics.sources()
+
     def missing(self) -> list[str]:
         """Topics of the arm that nobody publishes, and commands that nobody hears."""
         namespace = self._config.topic(self._arm.name)
@@ -240,24 +244,24 @@ class ArmDVRK:
         if not homed:
             self._not_ours()
             return self._remember(outside)
-        mounted = must.tool_as_configured(readings, self._arm)
         if not self._engaged:
             self._not_ours()
-            return self._remember(must.worst([outside, mounted if readings.tool_type else must.FINE]))
+            told = must.tool_as_told(readings, self._arm) if readings.tool_type else must.FINE
+            return self._remember(must.worst([outside, told]))
         held = must.nobody_holds_it(readings, now, self._jaw.moving, self._commanded_at)
         if not held.ok:
             self._not_ours()
         if self._first_base is None and data.ok:
             self._first_base = readings.base
         verdicts = [
-            mounted,
+            must.tool_as_configured(readings, self._arm),
             must.one_source(self._topics.sources()),
             must.frame_as_configured(readings, self._arm),
             must.base_still(readings.base, self._first_base, self._config.tolerances),
             outside,
             held,
             data,
-            must.encoders_alive(readings, now, self._config.rates),
+            must.encoders_alive(readings, self._tip.sent_away(readings.joints.unchanged_since), now, self._config.rates),
             must.slow_enough(readings, self._config.speeds.ratio),
         ]
         if held.ok and data.ok:
@@ -289,9 +293,10 @@ class ArmDVRK:
         self._jaw.forget()
 
     def _keep_ratio(self, readings: ArmReadings, now: float) -> None:
-        """Ask for the configured ratio, once a second until the robot says so."""
+        """Ask for the configured ratio, once a second until the robot says so; not before a session begins."""
         wanted = self._config.speeds.ratio
-        if now - self._ratio_sent > 1.0 and (readings.ratio is None or readings.ratio > wanted + must.RATIO_ROUNDING):
+        faster = readings.ratio is None or readings.ratio > wanted + must.RATIO_ROUNDING
+        if faster and self._opened() and now - self._ratio_sent > 1.0:
             self._ratio_sent = now
             self._ratio.publish(m.Float64(wanted))
 
@@ -329,13 +334,9 @@ class ArmDVRK:
         guard = self._guard(now)
         if not guard.ok:
             return f"{self._arm.name}: {guard.message}"
-        readings = self._topics.read()
-        if not self._ready(readings):
+        if not self._ready(self._topics.read()):
             return f"{self._arm.name} is not enabled, homed and engaged"
         return ""
-
-    def _unreachable(self, poses: list[Pose]) -> str:
-        return unreachable(self._arm, self._frames, self._topics.read(), poses)
 
     # ------------------------------------------------------------ sending
 
@@ -363,7 +364,7 @@ class ArmDVRK:
         """Begin a line from where the arm is told to be now, if all of it can be reached."""
         now = self._now()
         path = self._tip.plan(self._tip.start(self.setpoint_cp()), pose)
-        if reason := self._unreachable(waypoints(path, CHECKED_EVERY)):
+        if reason := unreachable(self._arm, self._frames, self._topics.read(), waypoints(path, CHECKED_EVERY)):
             move.end(Code.MOVE_REJECTED, reason)
             return
         self._commanded_at = now

@@ -21,7 +21,8 @@ from hardware.dvrk.arm_readings import matrix
 from hardware.dvrk.calibration import HandEye, arm_frames, load_hand_eye
 from hardware.dvrk.config import ArmConfig, RobotConfig
 from hardware.dvrk.console import Console
-from hardware.dvrk.deadman import HEARTBEAT, IDLE
+from hardware.dvrk.deadman import HEARTBEAT
+from hardware.dvrk.deadman import NAME as DEADMAN
 from hardware.dvrk.endoscope import EndoscopeDVRK
 from hardware.dvrk.energy import Energy, NoEnergy
 from hardware.dvrk.heartbeat import Heartbeat
@@ -37,6 +38,7 @@ log = logging.getLogger(__name__)
 SURVEY_EVERY = 2.0  # [s] between questions to the master about who else commands the arms
 ASK_AGAIN = 0.1  # [s] between two looks at what is missing
 PARTING = 0.1  # [s] for the last hold to arrive before the heart stops
+NOT_OPEN = Verdict(False, False, Code.ARM_NOT_READY, "no session has begun: the bench is not open")
 
 
 class BenchDVRK:
@@ -66,6 +68,8 @@ class BenchDVRK:
         self._around = must.FINE
         self._elsewhere = must.FINE
         self._surveyed = -math.inf
+        self._beats = False  # from the moment that a session is to begin
+        self._armed = False  # the deadman was asked to watch
         self._opened = False
         self._closing = threading.Event()
         self._observers: list[Callable[[], None]] = []
@@ -74,7 +78,17 @@ class BenchDVRK:
         self.hand_eyes = {role: self._hand_eye(arm) for role, arm in self._roles().items()}
         energy = energy or NoEnergy()
         self._arms = {
-            role: ArmDVRK(role, config, arm, arm_frames(self.hand_eyes[role], arm), transport, self.now, self._outside, energy)
+            role: ArmDVRK(
+                role,
+                config,
+                arm,
+                arm_frames(self.hand_eyes[role], arm),
+                transport,
+                self.now,
+                self._outside,
+                self._is_open,
+                energy,
+            )
             for role, arm in self._roles().items()
         }
         self._threads = [threading.Thread(target=self._watch, name="dvrk-monitor", daemon=True)] if threaded else []
@@ -117,19 +131,21 @@ class BenchDVRK:
         return self._console.stop_pressed()
 
     def close(self) -> None:
-        """Hold both arms, tell the deadman that all is over, and leave the graph. What was received can still be read."""
+        """Hold both arms, tell the deadman that all is over, and leave the graph. What was received can still be read.
+
+        A bench that was never opened commands nothing here either.
+        """
         if self._closing.is_set():
             return
-        for arm in self._arms.values():
-            try:
-                arm.hold()
-            except TransportError as error:
-                log.error("%s could not be told to hold: %s", arm.name, error)
         if self._opened:
+            for arm in self._arms.values():
+                try:
+                    arm.hold()
+                except TransportError as error:
+                    log.error("%s could not be told to hold: %s", arm.name, error)
             self._opened = False
             self._let_pass(PARTING)
-            self._heartbeat.disarm()
-            self._let_pass(PARTING)
+        self._disarm()
         self._closing.set()
         for thread in self._threads:
             if thread is not threading.current_thread():
@@ -154,29 +170,36 @@ class BenchDVRK:
         return self._heartbeat.state
 
     def open(self) -> None:
-        """Wait until everything that a session needs is there, arm the deadman, and check it all.
+        """Wait until everything that a session needs is there, then arm the deadman. Refused, nothing is left armed.
 
         Raises:
             InputError: something is missing or wrong; the sentence lists all of it.
         """
+        self._beats = True
         until = self.now() + self._config.rates.connect_within
         while problems := self.blockers():
             if self.now() > until:
+                self._disarm()
                 raise InputError(f"the robot is not ready for a session: {'; '.join(problems)}")
-            self._heartbeat.arm()
+            if problems == [self._heartbeat.what_is_wrong()] and not self._heartbeat.what_is_wrong(armed=False):
+                self._armed = True  # nothing else is in the way
+                self._heartbeat.arm()
             self._let_pass(ASK_AGAIN)
-        self._opened = True
+        self._armed = self._opened = True
+        self._let_pass(1.0 / self._config.rates.monitor)  # the arms hear of it at the next look
         self._due = self.now()
 
     def blockers(self, armed: bool = True) -> list[str]:
         """What would keep a session from starting, one sentence each. That arms are not yet enabled and homed is not among it.
 
-        Unless it is to be `armed` already, a deadman that is merely idle is none either.
+        Unless it is to be `armed` already, a deadman that is idle or holds is none either: a session arms it.
         """
         found = survey(self._config, self._transport, list(self._arms.values()), self._endoscope, self._console)
         verdicts = [
             must.connected(self._transport.alive()),
-            must.deadman_watches("" if not armed and self.deadman == IDLE else self._heartbeat.what_is_wrong()),
+            must.deadman_watches(self._heartbeat.what_is_wrong(armed)),
+            self._deadman_has_arms() if self.deadman else must.FINE,
+            *(must.one_source(arm.sources()) for arm in self._arms.values()),
             self._console.verdict(),
             self._strangers(),
         ]
@@ -187,7 +210,7 @@ class BenchDVRK:
         return [*found, *(verdict.message for verdict in verdicts if not verdict.ok)]
 
     def monitor(self) -> None:
-        """Look once: every arm takes its step, the observers are called, and then the heart beats."""
+        """Look once: every arm takes its step, the observers are called, and then the heart beats. Before `open` nothing is sent."""
         now = self.now()
         if self._looks:
             self._longest_look = max(self._longest_look, now - self._last_look)
@@ -195,7 +218,7 @@ class BenchDVRK:
         self._around = must.worst(
             [
                 must.connected(self._transport.alive()),
-                must.deadman_watches(self._heartbeat.what_is_wrong()) if self._opened else must.FINE,
+                must.deadman_watches(self._heartbeat.what_is_wrong()) if self._opened else NOT_OPEN,
                 self._elsewhere,
                 self._console.verdict(),
             ]
@@ -210,7 +233,8 @@ class BenchDVRK:
         if not self._threaded and now >= self._surveyed + SURVEY_EVERY:
             self._surveyed = now
             self._elsewhere = self._strangers()
-        self._heartbeat.beat()
+        if self._beats:
+            self._heartbeat.beat()
 
     def calibration(self) -> str:
         """What calibration is loaded, and its age, in words."""
@@ -256,7 +280,7 @@ class BenchDVRK:
     def _hand_eye(self, arm: ArmConfig) -> HandEye:
         """The calibration of one arm; one that rests on an endoscope arm needs to know where that stands."""
         scope = self._config.console.endoscope_arm
-        pose = None
+        pose, topic = None, ""
         if scope:
             found: list[PoseStamped] = []
             topic = self._config.topic(f"{scope}/local/measured_cp")
@@ -266,10 +290,28 @@ class BenchDVRK:
                 self._wait(0.05)
             subscription.close()
             pose = matrix(found[-1]) if found and found[-1].stamp > 0 else None
-        return load_hand_eye(arm.calibration, arm.name, arm.calibration_axes, pose)
+        return load_hand_eye(arm.calibration, arm.name, arm.calibration_axes, pose, topic)
 
     def _outside(self) -> Verdict:
         return self._around
+
+    def _is_open(self) -> bool:
+        return self._opened
+
+    def _disarm(self) -> None:
+        """Have the deadman idle again if it was asked to watch; the heart beats until it has heard so."""
+        if self._armed:
+            self._armed = False
+            self._heartbeat.disarm()
+            self._let_pass(PARTING)
+
+    def _deadman_has_arms(self) -> Verdict:
+        """Whether the deadman watches the arms of the configuration, as the master knows it."""
+        try:
+            topics = [self._config.topic(f"{arm.name}/hold") for arm in self._config.arms]
+            return must.deadman_has({topic: self._transport.publishers_of(topic) for topic in topics}, DEADMAN)
+        except TransportError as error:
+            return Verdict(False, True, Code.CONNECTION_LOST, str(error))
 
     def _strangers(self) -> Verdict:
         """Whether somebody else may command the arms, as the master knows it."""

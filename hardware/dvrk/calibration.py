@@ -59,7 +59,7 @@ class ArmFrames:
     tip_from_tool: Array
 
 
-def load_hand_eye(path: Path, arm: str, axes: str = "", endoscope: Array | None = None) -> HandEye:
+def load_hand_eye(path: Path, arm: str, axes: str = "", endoscope: Array | None = None, asked: str = "") -> HandEye:
     """Read what dvrk_camera_registration wrote about `arm` ("PSM1").
 
     It writes three kinds of file. `PSM1-registration-open-cv.json` has the key base-frame and OpenCV's axes.
@@ -72,6 +72,7 @@ def load_hand_eye(path: Path, arm: str, axes: str = "", endoscope: Array | None 
         arm: CRTK name of the arm that it must be about.
         axes: "open-cv" or "dvrk"; empty: as the file's name or kind says.
         endoscope: pose of the endoscope's tip in its own base, for an entry of suj-fixed.json alone.
+        asked: the topic that was to tell that pose; empty where none is configured.
 
     Raises:
         InputError: it cannot be read, is about another arm, does not say its axes, or holds no plausible pose.
@@ -86,7 +87,7 @@ def load_hand_eye(path: Path, arm: str, axes: str = "", endoscope: Array | None 
         raise InputError(f"{where} bears the name of {others.pop()}; give each arm its own file")
     content, fragment = _parse(text, where)
     if "measured_cp" in content:
-        matrix, frame = _from_setup_joints(content, arm, endoscope, where), ""
+        matrix, frame = _from_setup_joints(content, arm, endoscope, asked, where), ""
     else:
         matrix, frame = _from_base_frame(content, where)
         if _axes(path, fragment, axes, where) == "dvrk":
@@ -190,9 +191,14 @@ def _from_base_frame(content: dict[str, Any], where: str) -> tuple[Array, str]:
     return _rigid(inner.get("transform"), f"the transform of {where}"), frame
 
 
-def _from_setup_joints(content: dict[str, Any], arm: str, endoscope: Array | None, where: str) -> Array:
+def _from_setup_joints(content: dict[str, Any], arm: str, endoscope: Array | None, asked: str, where: str) -> Array:
     if content.get("name") != arm:
         raise InputError(f"{where} is about {content.get('name')!r}; it must be about {arm}")
+    if endoscope is None and asked:
+        raise InputError(
+            f"{where} is an entry of suj-fixed.json, seen from the endoscope arm's base, and {asked} has told no valid pose; "
+            "power and home that arm"
+        )
     if endoscope is None:
         raise InputError(
             f"{where} is an entry of suj-fixed.json, seen from the endoscope arm's base; set endoscope_arm in [console], "

@@ -139,18 +139,16 @@ class SpeedConfig(_Checked):
     ratio: float = _within(0.1, 0.02, 0.3)  # of the robot's trajectory speed and acceleration
     linear: float = _within(0.02, 1e-3, 0.05)  # [m/s], of the tip
     angular: float = _within(0.5, 0.02, 1.5)  # [rad/s]
-    jaw: float = _within(1.0, 0.05, 3.0)  # [rad/s]
 
 
 @dataclass(frozen=True)
 class RateConfig(_Checked):
     """How often things happen, and how long nothing may happen."""
 
-    servo: float = _within(100.0, 20.0, 500.0)  # [Hz], setpoints while streaming
-    monitor: float = _within(100.0, 50.0, 200.0)  # [Hz], guards
-    heartbeat: float = _within(50.0, 40.0, 200.0)  # [Hz], to the deadman, which waits for 0.1 s
+    monitor: float = _within(100.0, 50.0, 200.0)  # [Hz], guards, and setpoints while streaming
     stale: float = _within(0.1, 0.02, 0.5)  # [s], telemetry older than this by receive time is no basis for motion
-    frozen: float = _within(0.5, 0.1, 5.0)  # [s], values that did not change at all in this time come from no live encoder
+    # [s], joints that did not change at all this long after the arm was sent elsewhere come from no live encoder
+    frozen: float = _within(0.5, 0.1, 5.0)
     busy_within: float = _within(0.5, 0.1, 2.0)  # [s], a move that has not made the arm busy by then was rejected
     connect_within: float = _within(5.0, 0.5, 60.0)  # [s], for topics and the deadman at start-up
 

@@ -40,17 +40,10 @@ class Console:
         self._first: dict[str, Array] = {}
 
     def read(self) -> ConsoleReadings:
-        """The console as last heard of; a topic that nobody publishes says nothing, as there is nobody to move the arms by it."""
-        teleops: dict[str, bool | None] = {}
-        for event in self._teleops:
-            newest = event.newest()
-            if newest is not None:
-                teleops[event.topic] = newest.message.data
-            elif event.sources() > 0:
-                teleops[event.topic] = None
+        """The console as last heard of."""
         operator = self._operator.newest()
         return ConsoleReadings(
-            teleops,
+            {event.topic: None if (newest := event.newest()) is None else newest.message.data for event in self._teleops},
             None if operator is None or self._operator.sources() == 0 else pressed(operator),
             {event.topic: pressed(event.newest()) for event in self._clutches},
         )
@@ -76,7 +69,7 @@ class Console:
 
     def missing(self) -> list[str]:
         """Topics that the configuration names and nobody publishes."""
-        wanted: list[Event[m.Joy] | Stream[m.PoseStamped]] = [*self._mounts.values()]
+        wanted: list[Event[m.Joy] | Event[m.Bool] | Stream[m.PoseStamped]] = [*self._mounts.values(), *self._teleops]
         if self._config.console.operator_presence:
             wanted.append(self._operator)
         if self._stop is not None:

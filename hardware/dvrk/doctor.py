@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hardware.codes import InputError
 from hardware.dvrk.arm import ArmDVRK
 from hardware.dvrk.bench import BenchDVRK
-from hardware.dvrk.deadman import IDLE, WATCHING
+from hardware.dvrk.deadman import HOLDING, IDLE, WATCHING
 
 LISTEN = 2.0  # [s] before anything is told
 RATE = 50.0  # [Hz] that telemetry should at least come with
@@ -38,6 +38,8 @@ def examine(bench: BenchDVRK) -> list[Finding]:
 def _deadman(bench: BenchDVRK) -> Finding:
     state = bench.deadman
     remedy = "" if state in (IDLE, WATCHING) else "Start it beside the robot: python -m hardware.dvrk.deadman"
+    if state.startswith(HOLDING):
+        remedy = "Find out why; then end it with Ctrl-C and start it anew."
     return Finding("deadman", not remedy, state or "not running", remedy)
 
 

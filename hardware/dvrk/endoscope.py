@@ -1,7 +1,8 @@
 """The stereo endoscope over ROS: two eyes with separate grabbers, paired by their stamps, rectified here where the graph does not.
 
-An image is shown as it comes; only pairs whose skew is small count as a frame. An uncalibrated camera publishes intrinsics of zero and is
-refused. Images arrive on the transport's threads; rectification is done where somebody looks. Thread-safe.
+An image is shown as it comes; only pairs whose skew is small count as a frame, and only images of the calibration's size are taken: with
+others, the newest pair grows old. An uncalibrated camera publishes intrinsics of zero and is refused. Images arrive on the transport's
+threads; rectification is done where somebody looks. Thread-safe.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ class EndoscopeDVRK:
         self._waiting: dict[str, deque[Received[Picture]]] = {eye: deque(maxlen=WAITING) for eye in EYES}
         self._pair: Pair | None = None
         self._unpaired = 0
+        self._unfit = {eye: "" for eye in EYES}
         self._shown: tuple[int, dict[str, Image]] = (-1, {})
         self._model: CameraModel | None = None
         self._maps: dict[str, tuple[Array, Array]] = {}
@@ -65,9 +67,10 @@ class EndoscopeDVRK:
         """
         if self._model is None:
             left, right = (self._info(eye) for eye in EYES)
-            self._model = camera_model(left, right)
+            model = camera_model(left, right)
             if not self._config.rectified:
                 self._maps = {"left": rectification(left), "right": rectification(right)}
+            self._model = model  # last: another thread that finds it finds the maps too
         return self._model
 
     def stamp(self) -> float:
@@ -90,6 +93,10 @@ class EndoscopeDVRK:
         topics: list[Stream[Any]] = [*self._images.values(), *self._infos.values()]
         return [topic.topic for topic in topics if topic.sources() == 0]
 
+    def unfit(self) -> list[str]:
+        """Why images are not used: their size is not that of the calibration. One sentence for each such eye."""
+        return [said for said in self._unfit.values() if said]
+
     def figures(self) -> list[TopicFigures]:
         """How the images came in."""
         return [stream.figures() for stream in self._images.values()]
@@ -109,7 +116,20 @@ class EndoscopeDVRK:
         return good.message
 
     def _take(self, eye: str, picture: Received[Picture]) -> None:
-        """Pair an image with the other eye's nearest one."""
+        """Pair an image with the other eye's nearest one; only what fits the calibration is a picture of anything."""
+        try:
+            model = self.camera
+        except InputError:
+            return  # whoever asks for the camera is told why
+        height, width = picture.message.image.shape[:2]
+        fits = (width, height) == (model.width, model.height)
+        self._unfit[eye] = (
+            ""
+            if fits
+            else f"the {eye} image is {width} x {height} pixels where its calibration says {model.width} x {model.height}"
+        )
+        if not fits:
+            return
         other = "right" if eye == "left" else "left"
         stamp = picture.message.stamp
         with self._lock:
@@ -137,7 +157,6 @@ class EndoscopeDVRK:
         return pair
 
     def _rectified(self, pair: Pair, eye: str) -> Image:
-        model = self.camera
         with self._lock:
             sequence, images = self._shown
             if sequence != pair.sequence:
@@ -147,11 +166,6 @@ class EndoscopeDVRK:
                 image = pair.left.image if eye == "left" else pair.right.image
                 if eye in self._maps:
                     image = np.asarray(cv2.remap(image, *self._maps[eye], cv2.INTER_LINEAR), dtype=np.uint8)
-                if image.shape[:2] != (model.height, model.width):
-                    height, width = image.shape[:2]
-                    raise RuntimeError(
-                        f"the {eye} image is {width} x {height} pixels where its calibration says {model.width} x {model.height}"
-                    )
                 images[eye] = image
             return images[eye]
 

@@ -50,14 +50,14 @@ class Heartbeat:
         """What the deadman last said: "idle", "watching" or "holding: why"; empty when it said nothing lately."""
         return self._state if self._transport.clock() - self._heard <= DEAD_AFTER else ""
 
-    def what_is_wrong(self) -> str:
-        """Why motion must not go on, in one sentence; empty when the deadman is there and watches."""
+    def what_is_wrong(self, armed: bool = True) -> str:
+        """Why motion must not go on, in one sentence; empty when the deadman is there and, where it is to be `armed`, watches."""
         state = self.state
         if self._listens.sources() > 1:
             return "two deadmen are running; stop one of them"
         if not state:
             return "no deadman is running; start `python -m hardware.dvrk.deadman` on the robot's machine"
-        if state != WATCHING:
+        if armed and state != WATCHING:
             return f"the deadman does not watch: it is {state}"
         return ""
 

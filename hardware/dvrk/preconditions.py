@@ -69,12 +69,16 @@ def data_fresh(readings: ArmReadings, now: float, rates: RateConfig, with_jaw: b
     return FINE
 
 
-def encoders_alive(readings: ArmReadings, now: float, rates: RateConfig) -> Verdict:
-    """Positions, speeds and currents that are the very same numbers for long come from no live arm, however fresh their stamps."""
+def encoders_alive(readings: ArmReadings, sent_away: float, now: float, rates: RateConfig) -> Verdict:
+    """The very same positions, speeds and currents for long come from no arm that was sent elsewhere, at `sent_away` [s], however fresh.
+
+    Of an arm at rest nothing is concluded: a simulated one has no noise.
+    """
     since = readings.joints.unchanged_since
-    if now - since <= rates.frozen:
+    if not since < sent_away < now - rates.frozen:
         return FINE
-    return _wait(Code.ARM_DATA_STALE, f"measured_js has told the very same numbers for {now - since:.1f} s: it is frozen")
+    said = f"measured_js has told the very same numbers for {now - since:.1f} s though the arm was sent elsewhere: it is frozen"
+    return _wait(Code.ARM_DATA_STALE, said)
 
 
 def tracks_setpoint(readings: ArmReadings, tolerances: ToleranceConfig) -> Verdict:
@@ -103,6 +107,11 @@ def tool_as_configured(readings: ArmReadings, arm: ArmConfig) -> Verdict:
     joints = readings.joints
     if "joints" in joints.problem:
         return _end(Code.SETUP_CHANGED, f"the instrument is off: {joints.problem}")
+    return tool_as_told(readings, arm)
+
+
+def tool_as_told(readings: ArmReadings, arm: ArmConfig) -> Verdict:
+    """Likewise by its name alone. While an instrument engages, its latched name may come before the first six joints do."""
     if readings.tool_type is None:
         return _wait(Code.ARM_NOT_READY, f"the robot has not told its tool_type; {arm.tool_type} is expected")
     if readings.tool_type != arm.tool_type:
@@ -189,7 +198,7 @@ def jaw_ours(setpoint: Sample[JointState], commanded: float | None, tolerances: 
 
 @dataclass(frozen=True)
 class ConsoleReadings:
-    """The surgeon's console as last heard of. A name maps to True, False, or None where it is there and has not spoken yet."""
+    """The surgeon's console as last heard of. A name maps to True, False, or None where it has not spoken yet."""
 
     teleops: Mapping[str, bool | None]  # enabled or following, by topic
     operator: bool | None
@@ -242,6 +251,15 @@ def connected(alive: bool) -> Verdict:
 def deadman_watches(what_is_wrong: str) -> Verdict:
     """The deadman beside the robot is there and watches."""
     return _end(Code.DEADMAN, what_is_wrong) if what_is_wrong else FINE
+
+
+def deadman_has(holders: Mapping[str, Sequence[str]], deadman: str) -> Verdict:
+    """The node `deadman` can hold all our arms; `holders` are the nodes by hold topic. What it watches is told on its command line."""
+    for topic, nodes in holders.items():
+        if not any(node.rpartition("/")[2].startswith(deadman) for node in nodes):
+            arms = " ".join(one.removesuffix("/hold") for one in holders)
+            return _end(Code.DEADMAN, f"the deadman does not publish {topic}; start it with the arms of robot.toml: {arms}")
+    return FINE
 
 
 def kinds_as_expected(kinds: Mapping[str, str], expected: Mapping[str, str]) -> list[str]:

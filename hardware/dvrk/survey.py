@@ -54,4 +54,5 @@ def survey(
             endoscope.camera  # noqa: B018 - asked for its refusal
         except InputError as error:
             found.append(str(error))
+    found += endoscope.unfit()
     return found

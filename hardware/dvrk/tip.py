@@ -49,6 +49,8 @@ class TipStream:
         self._run: Run | None = None
         self._sent: deque[tuple[float, Pose]] = deque()
         self._anchor_at = -math.inf
+        self._stood: Pose | None = None  # what had been sent when the arm was last known to move
+        self._away_at = math.inf
 
     @property
     def moving(self) -> bool:
@@ -92,6 +94,13 @@ class TipStream:
         """Where the setpoint should be is not known: the arm was not ours for a while."""
         self._sent.clear()
         self._anchor_at = -math.inf
+        self._stood, self._away_at = None, math.inf
+
+    def sent_away(self, moved: float) -> float:
+        """When [s] the arm, which moved at `moved` [s] last, was first sent anywhere else since; inf while it is to stand still."""
+        if self._away_at <= moved:
+            self._stood, self._away_at = (self._sent[-1][1] if self._sent else None), math.inf
+        return self._away_at
 
     def ours(self, setpoint: Pose | None, now: float) -> list[Pose]:
         """Where the setpoint may be by what we sent; empty while that is not known."""
@@ -118,6 +127,8 @@ class TipStream:
             pose = run.line.at(run.elapsed)
             self._sent.append((now, pose))
             self._publish(pose)
+            if self._away_at == math.inf and self._stood is not None and self._differs(pose, self._stood):
+                self._away_at = now
             return None
         return self._settle(run, setpoint, measured, stamp, dt)
 
@@ -130,6 +141,11 @@ class TipStream:
     def _leave(self, start: Pose, now: float) -> None:
         self._anchor_at = math.inf
         self._sent.append((now, start))
+        if self._away_at == math.inf:
+            self._stood = start
+
+    def _differs(self, a: Pose, b: Pose) -> bool:
+        return _off(a, b) > self._foreign or a.angle_to(b) > self._config.tolerances.rotation
 
     def _ignored(self, now: float, setpoint: Pose) -> bool:
         """Whether the setpoint is still at what was sent too long ago."""

@@ -87,7 +87,8 @@ class Pictures:
         self._frame = f"{config.camera.rig}_camera"
         self._images = {eye: [transport.publisher(f"{rig}/{eye}/{name}", Picture, queue=1) for name in TOPICS] for eye in EYES}
         self._infos = {eye: transport.publisher(f"{rig}/{eye}/camera_info", CameraInfo, queue=1) for eye in EYES}
-        self._views: queue.Queue[tuple[View, float] | None] = queue.Queue(maxsize=1)
+        self._views: queue.Queue[tuple[View, float] | None] = queue.Queue()
+        self._at_work = threading.Event()  # a view that waited its turn would be a late picture
         self._thread: threading.Thread | None = None
         if threaded:
             window = _Window(self._look())
@@ -108,7 +109,8 @@ class Pictures:
             return
         if self._thread is None:
             self._publish(self._bench.endoscope.stereo(), stamp)
-        elif not self._views.full():
+        elif not self._at_work.is_set():
+            self._at_work.set()
             self._views.put((self._look(), stamp))
 
     def close(self) -> None:
@@ -127,6 +129,7 @@ class Pictures:
         while (item := self._views.get()) is not None:
             window.view, stamp = item
             self._publish(endoscope.stereo(), stamp)
+            self._at_work.clear()
 
     def _publish(self, frame: StereoFrame, stamp: float) -> None:
         skew = SKEW if self._faults.on(Fault.SKEWED_STAMPS) else 0.0

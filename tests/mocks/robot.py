@@ -205,7 +205,9 @@ class ScriptedRobot:
         self.operator = self.node.publisher("/console/operator_present", m.Joy, latched=True)
         self.pedal = self.node.publisher("/console/clutch", m.Joy, latched=True)
         self.teleop.publish(m.Bool(False))
+        self.other = self.node.publisher("/MTML_PSM2/following", m.Bool, latched=True)
         self.following.publish(m.Bool(False))
+        self.other.publish(m.Bool(False))
         self.operator.publish(m.Joy(1.0, (1,)))
         self.eyes = {eye: self.node.publisher(f"/stereo/{eye}/image_raw", m.Picture) for eye in ("left", "right")}
         self.infos = {eye: self.node.publisher(f"/stereo/{eye}/camera_info", m.CameraInfo) for eye in ("left", "right")}
@@ -246,7 +248,7 @@ class Rig:
         self.time = 50.0
         self.graph = LocalGraph(lambda: self.time)
         self.robot = ScriptedRobot(self.graph, stamps_ahead)
-        self.deadman = Deadman(self.graph.node("deadman"), ["/PSM1", "/PSM2"]) if deadman else None
+        self.deadman = Deadman(self.graph.node("dissection_deadman"), ["/PSM1", "/PSM2"]) if deadman else None
         self.config = robot_config(folder, **config)
         self.bench = BenchDVRK(self.config, self.graph.node("driver"), wait=self.wait, energy=energy, wall=0.0, threaded=False)
         if opened:

@@ -39,6 +39,22 @@ def test_a_servoed_line_keeps_to_its_speed(table, lease):
     assert 1.0 <= lease.now() - started < 1.5
 
 
+def test_a_line_at_the_fastest_speed_is_never_too_fast_though_time_goes_on_within_a_tick(table, lease):
+    rng, clock, late = np.random.default_rng(1), table.bench.now, 0.0
+
+    def now() -> float:
+        nonlocal late
+        late += float(rng.uniform(0.0, 2e-3))
+        return clock() + late
+
+    table.bench.now = now
+    target = lease.setpoint_cp(CUTTER).moved(np.array([0.01, 0.0, 0.0]))
+
+    report = table.finish(servo_line(lease, CUTTER, target, lease.limits.max_speed, "moving"))
+
+    assert report.status is MoveStatus.DONE, report.message
+
+
 def test_lines_that_continue_each_other_never_go_back_though_the_setpoint_lags(table, lease):
     lag(table.bench, CUTTER)
     start = lease.setpoint_cp(CUTTER)

@@ -1,5 +1,6 @@
 """A session on a robot as far as it goes without tissue: prepared, refused, recorded without truth, and ended in hold."""
 
+import gc
 import json
 import math
 import sys
@@ -18,7 +19,7 @@ from supervisor import topics
 from supervisor.cli import main
 from supervisor.doctor import Check
 from supervisor.reading import read
-from supervisor.robot import diagnose_robot, fitted
+from supervisor.robot import diagnose_robot, fitted, stay_prompt
 from supervisor.run import RunOptions, prepare_robot, run
 from supervisor.skillset import SkillConfig
 from tests.mocks.robot import Rig, camera_info, robot_config
@@ -132,6 +133,17 @@ def test_scissors_that_open_too_little_are_refused(tmp_path: Path):
 
     with pytest.raises(InputError, match="too little for any snip"):
         fitted(SkillConfig(), narrow)
+
+
+def test_a_process_on_a_graph_takes_short_turns_and_collects_no_more_what_it_began_with():
+    turn = sys.getswitchinterval()
+    try:
+        stay_prompt()
+        assert sys.getswitchinterval() < 1e-3
+        assert gc.get_freeze_count() > 10_000
+    finally:
+        sys.setswitchinterval(turn)
+        gc.unfreeze()
 
 
 # ------------------------------------------------------------ the command line

@@ -490,7 +490,10 @@ TROUBLES = [
 NAMES = [trouble[0].__name__ for trouble in TROUBLES]
 
 
-@pytest.mark.parametrize(("strike", "code", "latched", "said"), TROUBLES, ids=NAMES)
+AT_REST = [trouble for trouble in TROUBLES if trouble[3] != "frozen"]  # which tells nothing of an arm that is to stand still
+
+
+@pytest.mark.parametrize(("strike", "code", "latched", "said"), AT_REST, ids=[trouble[0].__name__ for trouble in AT_REST])
 def test_trouble_keeps_the_arm_from_moving_with_its_code(rig: Rig, strike, code: Code, latched: bool, said: str):
     arm = rig.bench.arms[CUTTER]
     rig.bench.advance(0.1)
@@ -591,6 +594,101 @@ def test_15_an_arm_without_its_instrument_does_not_count_as_homed_and_says_why(t
     state = arm.operating_state()
     assert robot(rig).homed and not state.is_homed
     assert "no instrument" in state.error
+
+
+def test_an_instrument_that_engages_may_tell_its_name_before_its_joints(tmp_path):
+    rig = Rig(tmp_path, opened=False)
+    robot(rig).count = 7
+    rig.bench.open()
+    arm = rig.bench.arms[CUTTER]
+    arm.state_command("enable")
+    arm.state_command("home")
+    rig.bench.advance(0.2)
+    before = arm.operating_state()
+
+    robot(rig).count = 6
+    rig.bench.advance(0.2)
+
+    assert not before.is_homed and not before.guard.latched
+    assert arm.operating_state().ready
+
+
+def test_a_wrong_instrument_is_told_as_soon_as_it_engages(tmp_path):
+    rig = Rig(tmp_path, opened=False)
+    robot(rig).tool = "PROGRASP_FORCEPS:400093"
+    rig.bench.open()
+    arm = rig.bench.arms[CUTTER]
+    arm.state_command("enable")
+    arm.state_command("home")
+
+    rig.bench.advance(0.2)
+
+    guard = arm.operating_state().guard
+    assert guard.code is Code.SETUP_CHANGED and "PROGRASP" in guard.message
+
+
+class Noiseless:
+    """The currents of a robot that is simulated kinematically."""
+
+    def normal(self, size: int) -> np.ndarray:
+        return np.zeros(size)
+
+
+@pytest.fixture
+def simulated(rig: Rig) -> Rig:
+    rig.robot.rng = Noiseless()  # type: ignore[assignment]
+    rig.bench.advance(2.0)
+    return rig
+
+
+def test_a_simulated_robot_without_noise_may_stand_still_and_move_again(simulated: Rig):
+    arm = simulated.bench.arms[CUTTER]
+
+    assert arm.operating_state().ready
+    for _ in range(2):
+        assert ended(simulated, arm.move_cp(there(simulated).moved(ASIDE))).status is MoveStatus.DONE
+        assert ended(simulated, arm.move_jaw(0.3)).status is MoveStatus.DONE
+        assert ended(simulated, arm.move_jaw(0.0)).status is MoveStatus.DONE
+        simulated.bench.advance(2.0)
+        assert arm.operating_state().ready
+    start = there(simulated)
+    for k in range(120):  # a servo that goes 3 mm and then stays there
+        arm.servo_cp(start.moved(np.array([0.1e-3 * min(k, 30), 0, 0])))
+        simulated.bench.advance(1 / 30)
+        assert arm.operating_state().guard.ok
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_an_arm_that_freezes_while_it_is_sent_elsewhere_is_held_and_stays_so(rig: Rig, noise: bool):
+    if not noise:
+        rig.robot.rng = Noiseless()  # type: ignore[assignment]
+    arm = rig.bench.arms[CUTTER]
+    handle = arm.move_cp(there(rig).moved(4 * ASIDE))
+    rig.bench.advance(0.3)
+
+    robot(rig).frozen = True
+    rig.bench.advance(2.0)
+    guard = arm.operating_state().guard
+    again = arm.move_jaw(0.0).report()
+
+    assert handle.report().status is MoveStatus.FAILED and again.code is Code.MOVE_REJECTED
+    assert guard.code is Code.ARM_DATA_STALE and not guard.latched and "frozen" in guard.message
+
+
+def test_joints_that_freeze_while_all_else_moves_end_the_motion_until_they_are_alive_again(rig: Rig):
+    arm = rig.bench.arms[CUTTER]
+    handle = arm.move_cp(there(rig).moved(4 * ASIDE))
+    rig.bench.advance(0.3)
+    js, still = robot(rig).js, rig.bench.arms[CUTTER].readings.joints.good.message
+    robot(rig).js = type("Stuck", (), {"publish": lambda _, new: js.publish(replace(still, stamp=new.stamp))})()
+
+    rig.bench.advance(2.0)
+    guard = arm.operating_state().guard
+    robot(rig).js = js
+    rig.bench.advance(0.1)
+
+    assert handle.report().code is Code.ARM_DATA_STALE and "frozen" in handle.report().message
+    assert not guard.ok and arm.operating_state().ready
 
 
 def test_an_old_latched_error_is_not_taken_for_the_reason_of_anything(tmp_path):

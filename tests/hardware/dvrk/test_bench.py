@@ -3,22 +3,24 @@
 import json
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hardware.codes import Code, InputError
 from hardware.dvrk.bench import BenchDVRK
-from hardware.dvrk.deadman import HOLD
+from hardware.dvrk.config import ConsoleConfig
+from hardware.dvrk.deadman import ARM, HEARTBEAT, HOLD, STATE, Deadman
 from hardware.dvrk.doctor import examine
 from hardware.dvrk.energy import OperatorEnergy
 from hardware.dvrk.local import LocalGraph
-from hardware.dvrk.messages import Bool, Empty, Joy, Message, PoseStamped, String
+from hardware.dvrk.messages import Bool, Empty, Float64, JointState, Joy, Message, Picture, PoseStamped, String
 from hardware.gate import SafetyGate
 from hardware.interface import CUTTER, GRASPER, MoveStatus
 from hardware.limits import Limits
 from supervisor.plain import plain
-from tests.mocks.robot import Rig, robot_config
+from tests.mocks.robot import K, Rig, camera_info, robot_config
 
 WIDE = Limits(workspace_lower=(-0.3, -0.3, 0.0), workspace_upper=(0.3, 0.3, 0.4))
 
@@ -91,6 +93,33 @@ def skewed(rig: Rig) -> None:
     rig.robot.skew = 0.7
 
 
+def two_robots(rig: Rig) -> None:
+    rig.graph.node("second").publisher("/PSM2/measured_js", JointState)
+
+
+def no_teleop_component(rig: Rig) -> None:
+    rig.graph.offers["/MTML_PSM2/following"].clear()
+
+
+def no_console(rig: Rig) -> None:
+    rig.graph.offers["/console/teleop/enabled"].clear()
+
+
+def other_arms(rig: Rig) -> None:
+    rig.graph.offers["/PSM2/hold"].clear()
+    rig.deadman = Deadman(rig.graph.node("dissection_deadman_7"), ["/PSM1", "/PSM3"])
+
+
+def images_of_another_size(rig: Rig) -> None:
+    def look() -> None:
+        for eye in ("left", "right"):
+            stamp = rig.robot.node.stamp()
+            rig.robot.infos[eye].publish(camera_info(eye, stamp, K, (128, 96)))
+            rig.robot.eyes[eye].publish(Picture(stamp, eye, np.zeros((48, 64, 3), dtype=np.uint8)))
+
+    rig.robot.look = look  # type: ignore[method-assign]
+
+
 @pytest.mark.parametrize(
     ("strike", "said"),
     [
@@ -103,6 +132,11 @@ def skewed(rig: Rig) -> None:
         (older_robot, "TransformStamped"),
         (no_robot, "nothing is published by /PSM2"),
         (deaf_robot, "/PSM2/servo_cp (nobody listens)"),
+        (two_robots, "/PSM2/measured_js comes from 2 nodes at once"),
+        (no_teleop_component, "/MTML_PSM2/following is not published"),
+        (no_console, "/console/teleop/enabled is not published"),
+        (other_arms, "the deadman does not publish /PSM2/hold; start it with the arms of robot.toml: /PSM1 /PSM2"),
+        (images_of_another_size, "the left image is 64 x 48 pixels where its calibration says 128 x 96"),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )
@@ -111,7 +145,95 @@ def test_what_blocks_a_session_is_named_before_anything_moves(tmp_path, strike, 
     strike(rig)
 
     assert said in refused(rig)
-    assert all(name == "hold" for arm in rig.robot.arms.values() for name, _ in arm.heard)
+    assert nothing_was_sent(rig)
+
+
+def nothing_was_sent(rig: Rig) -> bool:
+    return all(arm.heard == [] and arm.ratio == 1.0 for arm in rig.robot.arms.values())
+
+
+def test_the_deadman_is_not_armed_while_anything_else_is_in_the_way(tmp_path):
+    rig = closed(tmp_path)
+    asked: list[float] = []
+    rig.graph.node("listener").subscribe(ARM, Empty, lambda _, received: asked.append(received))
+    no_left_eye(rig)
+
+    refused(rig)
+    rig.bench.close()
+    rig.wait(0.5)
+
+    assert asked == []
+    assert rig.deadman is not None and rig.deadman.state == "idle" and nothing_was_sent(rig)
+
+
+def test_a_start_that_is_refused_after_the_deadman_was_armed_leaves_it_idle_and_the_arms_alone(tmp_path):
+    rig = closed(tmp_path)
+    rig.graph.node("listener").subscribe(ARM, Empty, lambda *_: teleop(rig))
+
+    assert "teleoperation off" in refused(rig)
+    at_once = rig.bench.deadman
+    rig.bench.close()
+    rig.wait(0.5)
+
+    assert rig.deadman is not None and rig.deadman.state == at_once == "idle" and nothing_was_sent(rig)
+
+
+def test_a_start_that_is_broken_off_leaves_the_deadman_idle(tmp_path):
+    rig = closed(tmp_path)
+
+    once = [KeyboardInterrupt()]
+
+    def interrupt(state: String, _: float) -> None:
+        if state.data == "watching" and once:
+            raise once.pop()
+
+    rig.graph.node("listener").subscribe(STATE, String, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        rig.bench.open()
+    rig.bench.close()
+    rig.wait(0.5)
+
+    assert rig.deadman is not None and rig.deadman.state == "idle"
+
+
+def test_a_deadman_that_still_holds_is_armed_by_a_new_session(tmp_path):
+    rig = closed(tmp_path)
+    asked_hold(rig)
+
+    rig.bench.open()
+
+    assert rig.bench.deadman == "watching"
+
+
+def test_before_a_session_begins_no_motion_is_taken(tmp_path):
+    rig = Rig(tmp_path)
+    for arm in rig.robot.arms.values():
+        arm.heard.clear()
+    rig.bench.close()
+    second = BenchDVRK(rig.config, rig.graph.node("second_driver"), wait=rig.wait, threaded=False)
+    second.advance(0.3)
+
+    report = second.arms[CUTTER].move_jaw(0.0).report()
+
+    assert report.code is Code.MOVE_REJECTED and "no session has begun" in report.message
+
+
+def test_a_console_that_was_never_heard_of_is_not_taken_for_one_at_rest(tmp_path):
+    rig = closed(tmp_path, console=ConsoleConfig(teleops=("MTMR_PSM9",)))
+
+    verdict = rig.bench.console.verdict()
+
+    assert not verdict.ok and "/MTMR_PSM9/following" in verdict.message
+
+
+def test_a_silent_endoscope_arm_is_named_where_the_calibration_rests_on_it(tmp_path):
+    rig = closed(tmp_path)
+    entry = {"name": "PSM1", "measured_cp": np.eye(4).tolist()}
+    (tmp_path / "PSM1-registration-open-cv.json").write_text(json.dumps(entry))
+    config = replace(rig.config, console=ConsoleConfig(endoscope_arm="ECM"))
+
+    with pytest.raises(InputError, match="/ECM/local/measured_cp has told no valid pose"):
+        BenchDVRK(config, rig.graph.node("another"), wait=rig.wait, threaded=False)
 
 
 def test_a_hand_eye_file_that_is_missing_is_bad_input(tmp_path):
@@ -303,14 +425,26 @@ def test_the_age_of_the_calibration_is_told(tmp_path):
 
 def test_the_doctor_tells_what_is_there_and_moves_nothing(tmp_path):
     rig = closed(tmp_path)
+    beats: list[float] = []
+    rig.graph.node("listener").subscribe(HEARTBEAT, Float64, lambda _, received: beats.append(received))
 
     findings = {finding.name: finding for finding in examine(rig.bench)}
+    rig.bench.close()
 
     assert findings["deadman"].ok and findings["deadman"].detail == "idle"
     assert "disabled, not homed" in findings["PSM1 state"].detail
     assert findings["endoscope"].ok and "baseline 4.0 mm" in findings["endoscope"].detail
     assert "blocks a session" not in findings
-    assert all(arm.heard == [] for arm in rig.robot.arms.values())
+    assert nothing_was_sent(rig) and beats == []
+
+
+def test_the_doctor_says_what_to_do_about_a_deadman_that_holds(tmp_path):
+    rig = closed(tmp_path)
+    asked_hold(rig)
+
+    found = next(finding for finding in examine(rig.bench) if finding.name == "deadman")
+
+    assert not found.ok and found.detail == "holding: it was asked for" and "Find out why" in found.remedy
 
 
 def test_the_doctor_names_what_would_block_a_session(tmp_path):

@@ -77,6 +77,7 @@ def test_a_small_skew_is_taken_and_the_older_eye_tells_the_age():
 @pytest.mark.parametrize("skew", [0.021, 0.4])
 def test_eyes_that_are_too_far_apart_make_no_pair(skew: float):
     table = Table()
+    table.calibrate()
 
     table.both(1, skew=skew)
 
@@ -115,6 +116,7 @@ def test_no_pair_at_all_is_no_frame():
 
 def test_an_image_without_a_stamp_is_not_used():
     table = Table()
+    table.calibrate()
 
     table.send("left", 1, stamp=0.0)
     table.send("right", 1, stamp=0.0)
@@ -125,6 +127,7 @@ def test_an_image_without_a_stamp_is_not_used():
 @pytest.mark.parametrize("ahead", [-5.0, 5.0])
 def test_a_camera_whose_clock_is_off_is_as_fresh_as_it_is(ahead: float):
     table = Table(ahead=ahead)
+    table.calibrate()
 
     table.both(1)
 
@@ -191,10 +194,38 @@ def test_raw_images_are_rectified_here():
     assert np.array_equal(frame.right[:, 10:60, 0], ramp[:, 6:56, 0])
 
 
-def test_an_image_of_another_size_than_its_calibration_is_refused():
-    table = Table()
+@pytest.mark.parametrize("rectified", [True, False])
+def test_images_of_another_size_than_their_calibration_make_no_pair_and_say_why(rectified: bool):
+    table = Table(rectified)
     table.calibrate(width=128)
+
     table.both(1)
 
-    with pytest.raises(RuntimeError, match="64 x 48"):
-        table.endoscope.left()
+    assert table.endoscope.stamp() == -np.inf
+    assert table.endoscope.unfit() == [
+        f"the {eye} image is 64 x 48 pixels where its calibration says 128 x 48" for eye in ("left", "right")
+    ]
+
+
+def test_a_camera_that_changes_its_size_lets_the_newest_pair_grow_old_until_it_changes_back():
+    table = Table()
+    table.calibrate()
+    table.both(1)
+    old = table.endoscope.stamp()
+
+    table.time += 1 / 30
+    for eye, publisher in table.pictures.items():
+        publisher.publish(Picture(table.node.stamp(), eye, np.zeros((96, 128, 3), dtype=np.uint8)))
+    during = (table.endoscope.stamp(), table.endoscope.left().image[0, 0, 0], len(table.endoscope.unfit()))
+    table.both(2)
+
+    assert during == (old, 1, 2)
+    assert table.endoscope.left().image[0, 0, 0] == 2 and table.endoscope.unfit() == []
+
+
+def test_before_the_calibration_is_told_images_make_no_pair():
+    table = Table()
+
+    table.both(1)
+
+    assert table.endoscope.stamp() == -np.inf

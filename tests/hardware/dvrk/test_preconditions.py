@@ -99,6 +99,17 @@ def test_whoever_else_may_command_an_arm_is_named():
     assert must.only_us({"/PSM1/servo_cp": ("us",)}, ("us",)).ok
 
 
+@pytest.mark.parametrize(
+    ("nodes", "ok"),
+    [(("gui", "dissection_deadman_12_3"), True), (("lab/dissection_deadman",), True), (("gui",), False), ((), False)],
+)
+def test_the_deadman_must_be_able_to_hold_both_arms(nodes: tuple[str, ...], ok: bool):
+    verdict = must.deadman_has({"/PSM1/hold": ("dissection_deadman_1",), "/PSM2/hold": nodes}, "dissection_deadman")
+
+    assert verdict.ok is ok
+    assert ok or (verdict.code is Code.DEADMAN and "does not publish /PSM2/hold" in verdict.message)
+
+
 @pytest.mark.parametrize(("buttons", "held"), [((0,), False), ((1,), True), ((2,), False), ((), False)])
 def test_a_tap_of_a_pedal_is_over(buttons: tuple[int, ...], held: bool):
     assert must.pressed(Received(Joy(1.0, buttons), 1.0, 1.0)) is held

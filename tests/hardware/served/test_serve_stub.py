@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from hardware.codes import InputError
 from hardware.dvrk.choose_transport import TransportError
 from hardware.dvrk.config import load_robot
+from skills.scene.goal import load_goal
 from supervisor import serve_stub
 from supervisor.cli import app
 from tests.hardware.served.conftest import scene
@@ -67,7 +68,7 @@ def test_without_ros_one_sentence_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setattr(serve_stub, "make_transport", no_ros)
 
     with pytest.raises(InputError, match="ROS 1 is not installed"):
-        serve_stub.serve(serve_stub.ServeOptions(scene(), 0, tmp_path), lambda path: None)
+        serve_stub.serve(serve_stub.ServeOptions(scene(), 0, tmp_path), lambda robot, goal: None)
 
 
 def test_the_command_explains_itself():
@@ -97,5 +98,8 @@ def test_the_stub_is_a_robot_on_a_real_graph(tmp_path):
     assert seen["rate"] > 60.0 and seen["pictures"] > 0.5
     assert seen["error"] < 5e-3 and seen["reached"] is True and seen["homed"] is True
     assert seen["tool"] == "POTTS_SCISSORS:400001" and seen["focal"] == 620.0
-    assert "dissect run --bench dvrk --config" in printed.replace("\n", " ")
+    command = next(line for line in printed.splitlines() if line.startswith("dissect run"))
+    assert command == f"dissect run --bench dvrk --config {folder / 'robot.toml'} --goal {folder / 'goal.json'}"
+    assert load_goal(folder / "goal.json").image_size == (640, 480)
+    assert json.loads((folder / "truth.json").read_text())["success"] is False
     assert load_robot(folder / "robot.toml").grasper.name == "PSM1"
