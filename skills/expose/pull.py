@@ -31,7 +31,9 @@ class PullConfig:
     settle: float = 0.3  # [s] before the reference and after the pull
     slip_drop: float = 0.6  # share of the greatest tension so far that is lost when the tissue has left the jaws
     slip_tension: float = 0.5  # [N] below this tension says nothing about slip
-    refusals: int = 3  # steps in a row refused for tension after which a pull ends that can turn elsewhere
+    # Steps in a row refused for tension after which a pull ends that can turn elsewhere. More than one opens stuck flaps farther, but the
+    # next step begins at the limit, and the gate lets it turn there: stiff tissue may pass the abort limit within it.
+    refusals: int = 1
 
     def __post_init__(self) -> None:
         lengths = (self.step, self.speed, self.relaxed, self.settle, self.slip_tension)

@@ -102,7 +102,7 @@ class Pull:
         self.bench.grasper.force = np.array([0.0, newtons, 0.0])
 
 
-def from_step(first: int, act: Callable[[Pull], None]) -> Pull:
+def from_step(first: int, act: Callable[[Pull], None], **settings) -> Pull:
     """A pull to whose table `act` happens once, when step `first` is planned."""
 
     def steer(number: int) -> Array:
@@ -110,7 +110,7 @@ def from_step(first: int, act: Callable[[Pull], None]) -> Pull:
             act(pull)
         return STEP
 
-    pull = Pull(ScriptedSteering(steer))
+    pull = Pull(ScriptedSteering(steer), **settings)
     return pull
 
 
@@ -366,7 +366,7 @@ def test_a_steering_that_turns_is_asked_again_when_a_step_was_refused_for_tensio
         pull.pulls_with(4.2 if number == 5 else 3.0)
         return STEP
 
-    pull = Pull(ScriptedSteering(steer))
+    pull = Pull(ScriptedSteering(steer), refusals=3)
     pull.steering.turns = True
 
     outcome = pull.finish()
@@ -380,7 +380,7 @@ def test_a_steering_that_turns_is_asked_again_when_a_step_was_refused_for_tensio
 
 
 def test_a_step_refused_for_tension_counts_from_where_the_gate_held_the_jaws():
-    pull = from_step(5, lambda pull: pull.pulls_with(4.2))
+    pull = from_step(5, lambda pull: pull.pulls_with(4.2), refusals=3)
     pull.steering.turns = True
 
     outcome = pull.finish()
@@ -389,14 +389,24 @@ def test_a_step_refused_for_tension_counts_from_where_the_gate_held_the_jaws():
 
 
 def test_tension_that_stays_at_its_limit_ends_a_pull_that_turns():
+    pull = from_step(5, lambda pull: pull.pulls_with(4.2), refusals=3)
+    pull.steering.turns = True
+
+    outcome = pull.finish()
+
+    assert (outcome.code, outcome.stopped_by) == (Code.OK, Code.TENSION)
+    assert [number for number, _ in pull.steering.asked] == list(range(1, 4 + 3 + 1))
+    assert np.linalg.norm(outcome.path[-1] - outcome.path[3]) < 0.4e-3
+
+
+def test_unless_told_otherwise_one_refusal_for_tension_ends_a_pull_that_turns_too():
     pull = from_step(5, lambda pull: pull.pulls_with(4.2))
     pull.steering.turns = True
 
     outcome = pull.finish()
 
     assert (outcome.code, outcome.stopped_by) == (Code.OK, Code.TENSION)
-    assert [number for number, _ in pull.steering.asked] == list(range(1, 4 + PullConfig().refusals + 1))
-    assert np.linalg.norm(outcome.path[-1] - outcome.path[3]) < 0.4e-3
+    assert len(outcome.path) == 4
 
 
 def test_strain_at_its_limit_ends_the_pull_well():
