@@ -91,7 +91,7 @@ def test_the_stub_is_a_robot_on_a_real_graph(tmp_path):
         assert client.returncode == 0, said + master.log_of(server)
         seen = json.loads(said.strip().splitlines()[-1])
         server.send_signal(signal.SIGINT)
-        server.wait(20.0)
+        server.wait(60.0)
         printed = master.log_of(server)
 
     assert server.returncode == 0, printed
