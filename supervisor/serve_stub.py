@@ -7,6 +7,7 @@ the truth about the tissue too, which no driver can see and nobody on the graph 
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,6 +52,8 @@ def serve(options: ServeOptions, ready: Callable[[Path, Path], None]) -> None:
         InputError: the prefix is no namespace, there is no ROS, or its master does not answer.
     """
     stay_prompt()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)  # a shell that starts it in the background leaves Ctrl-C ignored
     try:
         transport = make_transport(options.transport, NODE)
     except TransportError as error:
