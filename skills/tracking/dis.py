@@ -6,8 +6,6 @@ showed has changed, is replaced by the frame at hand.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
 from hardware.interface import Array
@@ -55,11 +53,12 @@ class TrackerFlow(TrackerStepwise):
         if config is None:
             return settled, agreement
         self._held = np.zeros(len(moved), dtype=bool)
-        for group, following in self._followed(new, moved, found, tool_mask):
-            mine, anchor = self._groups == group, self._anchors.get(group)
+        for group in np.unique(self._groups):
+            mine = self._groups == group
+            anchor = self._anchors.get(int(group))
             followed, before = int((seen & ~found & mine).sum()), int((self._seen & mine).sum())
-            if anchor is not None and following is not None:
-                places, alike = following
+            if anchor is not None:
+                places, alike = anchor.follow(new, self._step, moved[mine], found[mine], tool_mask)
                 in_view = inside(places, new.grey) & ~covered(places, tool_mask)
                 least = config.min_holding if followed >= config.min_followed * max(before, 1) else config.min_returned
                 # A side that a tool hides keeps its reference: it will be seen again.
@@ -67,27 +66,12 @@ class TrackerFlow(TrackerStepwise):
                     settled[mine], agreement[mine], self._held[mine] = places, alike, True
                     continue
             if followed >= max(MIN_POINTS, config.min_renewing * before):
-                self._take_reference(group, new, moved, seen, tool_mask)
+                self._take_reference(int(group), new, moved, seen, tool_mask)
             elif anchor is not None:
                 # Neither the reference nor the frame before: a picture of something else, or a blurred one. Points wait where they were.
                 anchor.let_go()
                 settled[mine], agreement[mine] = self._points[mine], 0.0
         return settled, agreement
-
-    def _followed(
-        self, new: Picture, moved: Array, found: Mask, tool_mask: Mask | None
-    ) -> list[tuple[int, tuple[Array, Array] | None]]:
-        """What the anchor of each group says (`Anchor.follow`), None without one; side by side, since sides know nothing of each other."""
-
-        def follow(group: int) -> tuple[Array, Array] | None:
-            anchor, mine = self._anchors.get(group), self._groups == group
-            return None if anchor is None else anchor.follow(new, self._step, moved[mine], found[mine], tool_mask)
-
-        groups = [int(group) for group in np.unique(self._groups)]
-        if not self._flow.parallel:
-            return [(group, follow(group)) for group in groups]
-        with ThreadPoolExecutor(len(groups)) as threads:
-            return list(zip(groups, threads.map(follow, groups), strict=True))
 
     def _take_reference(self, group: int, picture: Picture, points: Array, seen: Mask, tool_mask: Mask | None) -> None:
         """Anchor one side to `picture`; without enough of it in sight it has no reference."""

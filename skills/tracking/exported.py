@@ -60,8 +60,6 @@ def load_exported(path: Path, device: str) -> Exported:
 class FlowExported:
     """The flow of an exported network, on pictures in colour."""
 
-    parallel = False
-
     def __init__(self, network: Exported) -> None:
         self._network = network
 

@@ -20,12 +20,7 @@ PRESETS = {"medium": cv2.DISOPTICAL_FLOW_PRESET_MEDIUM, "fast": cv2.DISOPTICAL_F
 
 
 class Flow(Protocol):
-    """Flow from one picture to another of the same size; (H, W) grey or (H, W, 3) RGB uint8, as `sees` gives them.
-
-    `parallel`: whether two threads may ask at once.
-    """
-
-    parallel: bool
+    """Flow from one picture to another of the same size; (H, W) grey or (H, W, 3) RGB uint8, as `sees` gives them."""
 
     def sees(self, picture: Picture) -> NDArray[np.uint8]:
         """The kind of picture that this flow is computed on."""
@@ -43,10 +38,9 @@ class Flow(Protocol):
 class FlowDIS:
     """OpenCV's DIS flow (Kroeger et al., 2016) on pictures of even contrast."""
 
-    parallel = True  # every call has buffers of its own
-
     def __init__(self, preset: str) -> None:
-        self._preset = preset
+        self._flow = cv2.DISOpticalFlow.create(PRESETS[preset])
+        self._check = cv2.DISOpticalFlow.create(PRESETS["fast"])
 
     def sees(self, picture: Picture) -> NDArray[np.uint8]:
         """Even contrast: flow follows poor texture too."""
@@ -54,15 +48,11 @@ class FlowDIS:
 
     def flow(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> Field:
         """The preset's flow."""
-        return _dis(self._preset, old, new)
+        return np.asarray(self._flow.calc(old, new, np.zeros((*old.shape, 2), np.float32)))
 
     def check(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> Field:
         """The fast preset's flow."""
-        return _dis("fast", old, new)
-
-
-def _dis(preset: str, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> Field:
-    return np.asarray(cv2.DISOpticalFlow.create(PRESETS[preset]).calc(old, new, np.zeros((*old.shape, 2), np.float32)))
+        return np.asarray(self._check.calc(old, new, np.zeros((*old.shape, 2), np.float32)))
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,6 @@ CHECK_ITERATIONS = 8
 class FlowRAFT:
     """Flow by the upstream network, on pictures in colour."""
 
-    parallel = False  # a network keeps all cores busy by itself
-
     def __init__(self, network: Any, device: str) -> None:
         """Take the upstream `RAFT`, with its weights."""
         self._network = network.to(device).eval()
