@@ -241,7 +241,6 @@ def serve_stub(
 ) -> None:
     """Publish the stub bench as a da Vinci robot on a ROS graph, until interrupted; then write the truth about the tissue."""
     import shlex
-    import signal
 
     from hardware.stub.scene import load_scene
     from supervisor.serve_stub import ServeOptions, serve
@@ -249,7 +248,6 @@ def serve_stub(
 
     console = Console()
     options = ServeOptions(load_scene(scene), seed, folder, transport, prefix, pictures)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     start_warp()
 
     def ready(robot: Path, drawn: Path) -> None:
