@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from hardware.codes import Code
 from hardware.gate import Lease
-from hardware.interface import CUTTER, GRASPER, Array, MoveReport, MoveStatus, Pose
+from hardware.interface import CUTTER, GRASPER, Array, CameraModel, MoveReport, MoveStatus, Pose, StereoFrame
 from skills.dissect.outcome import DissectOutcome, Snip
+from skills.dissect.path import DEPTH_RADIUS, Path, between_rows, held_part, on_tissue
 from skills.grasp import GraspConfig, Grasped, take
 from skills.motion import pause, servo_line, wait
-from skills.scene.stereo import DepthMap, StereoConfig, depth_at, depth_from_stereo, region_around, surface_normal_at
+from skills.scene.stereo import DepthMap, Region, StereoConfig, depth_at, depth_from_stereo, region_around, surface_normal_at
+from skills.scene.tissue import hidden_mask, tissue_mask
 from skills.skill import Progress, Steps, computed
-from skills.tracking.goal_coordinates import from_goal_coordinates, to_goal_coordinates
+from skills.tracking.goal_coordinates import to_goal_coordinates
 from skills.tracking.tracks import TrackedGoal
 
 BLADE = 10e-3  # [m], of the scissors
@@ -41,9 +43,18 @@ class PlanningConfig:
     retraction: float = 6e-3  # of the grasp before cutting
     lift: float = np.deg2rad(45.0)  # of the retraction out of the surface
     settle: float = 0.12  # [s] before the blades close; three times as long after
+    well_seen: float = 0.8  # share of a corrective segment's stations below which the scissors make way for a look,
+    least_seen: float = 0.5  # and below which, with the scissors away, it is not cut
     patience: float = 1.0  # [s] to wait for the tracker to see the goal anew
-    depth_radius: int = 5  # [px] of the neighbourhood that a depth is read from
     margin: float = 70.0  # [px] around the goal that is matched in stereo
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Depth, and where tissue is seen (H, W), on one pair of images."""
+
+    depth: DepthMap
+    tissue: NDArray[np.bool_]
 
 
 class PlanningAgent:
@@ -58,6 +69,7 @@ class PlanningAgent:
         self._stereo = stereo
         self._executor = executor
         self._depth = config.depth
+        self._waiting: Pose | None = None  # where the scissors were before they cut
         self._misses = 0  # times that the jaws closed on nothing
         self.grasped: Grasped | None = None
         self.clear_view = True
@@ -65,6 +77,7 @@ class PlanningAgent:
     def run(self, lease: Lease, tracked: Callable[[], TrackedGoal | None], segments: Array | None) -> Steps[DissectOutcome]:
         """Cut the whole goal, or the corrective `segments` (S, 2, 2) pixels, which then follow the goal as it moves."""
         snips: list[Snip] = []
+        self._waiting = lease.measured_cp(CUTTER).value
         try:
             goal = tracked()
             if goal is None or goal.lost:
@@ -96,10 +109,10 @@ class PlanningAgent:
 
     def take_hold(self, lease: Lease, goal: TrackedGoal, retraction: float) -> Steps[MoveReport]:
         """Grasp at the tracked grasp pixel, then retract along the goal's normal by `retraction` [m], lifting."""
-        depth = yield from self._look(lease, goal)
+        depth = (yield from self._look(lease, goal)).depth
         camera = lease.endoscope.camera
-        z = depth_at(depth, goal.grasp[None], self._config.depth_radius)
-        middle_z = depth_at(depth, goal.polyline[len(goal.polyline) // 2][None], self._config.depth_radius)
+        z = depth_at(depth, goal.grasp[None], DEPTH_RADIUS)
+        middle_z = depth_at(depth, goal.polyline[len(goal.polyline) // 2][None], DEPTH_RADIUS)
         if not (goal.grasp_visible and np.isfinite(z).all() and np.isfinite(middle_z).all()):
             return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, "the depth at the grasp point cannot be seen")
         point = camera.unproject(goal.grasp[None], z)[0]
@@ -138,27 +151,39 @@ class PlanningAgent:
             goal = yield from self._fresh(lease, tracked)
             if goal is None or goal.lost:
                 return MoveReport(MoveStatus.FAILED, Code.GOAL_LOST, "the goal was lost from sight while cutting")
-            depth = yield from self._look(lease, goal)
-            path = self._lift(lease, goal, depth, segment)
+            if corrective and _share_seen(goal, segment) < self._config.well_seen:
+                goal = yield from self._unhidden(lease, tracked)
+                if goal is None or goal.lost or _share_seen(goal, segment) < self._config.least_seen:
+                    return MoveReport(MoveStatus.FAILED, Code.GOAL_LOST, f"the goal along {name} was hidden while cutting")
+            seen = yield from self._look(lease, goal)
+            if corrective and count is None:
+                segment = held_part(goal, seen.depth, lease.endoscope.camera, segment, seen.tissue)
+            # What is cut lies open and may be pulled anywhere, so a corrective segment is lifted anew from where it still holds.
+            first = done if corrective else 0
+            path = self._lift(lease, goal, seen, _rest(segment, first / (count or 1)), corrective)
             if path is None:
                 return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, f"the depth along {name} cannot be seen")
-            # The blades reach over the ends of what they are to cut; at the goal's own ends a corrective cut keeps inside.
-            before, after = (self._config.overlap / 2 if corrective and end in (0.0, 1.0) else 0.0 for end in segment[:, 0])
-            before, after = (min(inset, path.length / 4) for inset in (before, after))
-            length = path.length - before - after
             if count is None:
-                count = max(1, int(np.ceil(length / self._config.snip - 0.05)))
-            stretch = length / count
+                # The blades reach over the ends of what they are to cut; at the goal's own ends a corrective cut keeps inside.
+                insets = [self._config.overlap / 2 if corrective and end in (0.0, 1.0) else 0.0 for end in segment[:, 0]]
+                before, after = (min(inset, path.length / 4) for inset in insets)
+                count = max(1, int(np.ceil((path.length - before - after) / self._config.snip - 0.05)))
+                inside = np.array([before, path.length - after])[:, None] / path.length
+                segment = segment[0] + inside * (segment[1] - segment[0])
+            else:
+                before, after = 0.0, 0.0
+            stretch = (path.length - before - after) / (count - first)
+            begin = before + (done - first) * stretch
             doing = f"{name}: snip {done + 1} of {count}"
-            report, pose = yield from self._snip(lease, path, before + (done + 0.5) * stretch, stretch, doing)
-            start, end = path.pixels_at((before + done * stretch, before + (done + 1) * stretch))
+            report, pose = yield from self._snip(lease, path, begin + 0.5 * stretch, stretch, doing)
+            start, end = path.pixels_at((begin, begin + stretch))
             if report.status is MoveStatus.FAILED and report.code in FATAL:
                 return report
             snips.append(Snip(lease.now(), tuple(start), tuple(end), pose, report.code, report.message))  # type: ignore[arg-type]
             done += 1
         return MoveReport(MoveStatus.DONE)
 
-    def _snip(self, lease: Lease, path: "Path", at: float, stretch: float, doing: str) -> Steps[tuple[MoveReport, Pose]]:
+    def _snip(self, lease: Lease, path: Path, at: float, stretch: float, doing: str) -> Steps[tuple[MoveReport, Pose]]:
         """One snip centred at arc length `at` [m]: go above, open, insert to the depth of this pass, close, come back."""
         config, depth = self._config, self._depth
         point, tangent, normal = path.frame_at(at, stretch)
@@ -203,86 +228,43 @@ class PlanningAgent:
             yield Progress("waiting for the tracker")
         return goal if goal is not None and goal.stamp >= now else None
 
-    def _look(self, lease: Lease, goal: TrackedGoal) -> Steps[DepthMap]:
-        """Stereo depth around the goal and the grasp."""
+    def _unhidden(self, lease: Lease, tracked: Callable[[], TrackedGoal | None]) -> Steps[TrackedGoal | None]:
+        """The goal as it lies once the scissors, which hide it, are back where they came from; where they are if they cannot go."""
+        if self._waiting is not None:
+            yield from wait(lease.move_cp(CUTTER, self._waiting), "moving the scissors out of sight")
+        return (yield from self._fresh(lease, tracked))
+
+    def _look(self, lease: Lease, goal: TrackedGoal) -> Steps[Seen]:
+        """Stereo depth around the goal and the grasp, and where tissue is."""
         yield Progress("looking")
         camera = lease.endoscope.camera
         around = np.vstack([goal.near, goal.far, goal.grasp])
         region = region_around(around, self._config.margin, (camera.width, camera.height))
         stereo = lease.endoscope.stereo()
-        return (yield from computed(self._executor, "measuring depth", depth_from_stereo, stereo, camera, self._stereo, region))
+        return (yield from computed(self._executor, "measuring depth", _seen, stereo, camera, self._stereo, region))
 
-    def _lift(self, lease: Lease, goal: TrackedGoal, depth: DepthMap, segment: Array) -> "Path | None":
-        """The segment in 3D: the depth is read on both rows beside the goal, since the goal's own line may lie in an open gap."""
+    def _lift(self, lease: Lease, goal: TrackedGoal, seen: Seen, segment: Array, corrective: bool) -> Path | None:
+        """The segment in 3D; a corrective one on what still holds, if enough of that is seen."""
         camera = lease.endoscope.camera
-        count = 25
-        along = np.linspace(segment[0], segment[1], count)
-        lifted = []
-        for side in (1.0, -1.0):
-            beside = from_goal_coordinates(goal, np.column_stack([along[:, 0], np.full(count, side)]))
-            lifted.append(camera.unproject(beside, depth_at(depth, beside, self._config.depth_radius)))
-        near, far = lifted
-        share = (1.0 + along[:, 1:]) / 2.0
-        points = share * near + (1.0 - share) * far
-        known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
-        if known.sum() < max(4, 0.3 * count):
-            return None
-        across = near - far
-        return Path.through(points, across, from_goal_coordinates(goal, along), known)
+        held = on_tissue(goal, seen.depth, camera, segment, seen.tissue) if corrective else None
+        return held or between_rows(goal, seen.depth, camera, segment)
 
 
-@dataclass(frozen=True)
-class Path:
-    """A segment lifted to 3D: `points` (N, 3) [m], `across` (N, 3) towards the grasp's side, `pixels` (N, 2), arc length (N,) [m]."""
+def _seen(stereo: StereoFrame, camera: CameraModel, config: StereoConfig, region: Region) -> Seen:
+    depth = depth_from_stereo(stereo, camera, config, region)
+    return Seen(depth, tissue_mask(stereo.left.image) & ~hidden_mask(stereo.left.image))
 
-    points: Array
-    across: Array
-    pixels: Array
-    arc: Array
 
-    @staticmethod
-    def through(points: Array, across: Array, pixels: Array, known: NDArray[np.bool_]) -> "Path":
-        """Smooth points with gaps: a cubic in the parameter for each coordinate keeps single bad depths from bending the path."""
-        t = np.linspace(-1.0, 1.0, len(points))
-        degree = 3 if known.sum() > 8 else 1
+def _rest(segment: Array, done: float) -> Array:
+    """What is left of a `segment` (2, 2) in goal coordinates of which the share `done` is cut."""
+    return np.array([segment[0] + done * (segment[1] - segment[0]), segment[1]])
 
-        def smooth(values: Array) -> Array:
-            weights = known.astype(float)
-            for _ in range(3):
-                fit = np.polynomial.polynomial.polyfit(t[known], values[known], degree, w=weights[known])
-                fitted = np.polynomial.polynomial.polyval(t, fit).T
-                error = np.linalg.norm(values - fitted, axis=1)
-                scale = max(float(np.nanmedian(error[known])), 5e-5)
-                weights = np.where(known, 1.0 / (1.0 + (error / (2.5 * scale)) ** 2), 0.0)
-            return np.asarray(fitted)
 
-        points, across = smooth(points), smooth(across)
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return Path(points, across, pixels, arc)
-
-    @property
-    def length(self) -> float:
-        """[m]."""
-        return float(self.arc[-1])
-
-    def pixels_at(self, arcs: tuple[float, ...]) -> Array:
-        """Pixels (K, 2) at arc lengths [m]."""
-        return np.column_stack([np.interp(arcs, self.arc, self.pixels[:, i]) for i in range(2)])
-
-    def frame_at(self, at: float, stretch: float) -> tuple[Array, Array, Array]:
-        """Point, unit tangent over `stretch` [m], and unit surface normal towards the camera, at arc length `at` [m]."""
-
-        def read(values: Array, s: float) -> Array:
-            return np.array([np.interp(s, self.arc, values[:, i]) for i in range(3)])
-
-        point = read(self.points, at)
-        tangent = read(self.points, min(self.length, at + stretch / 2)) - read(self.points, max(0.0, at - stretch / 2))
-        tangent = tangent / np.linalg.norm(tangent)
-        normal = np.cross(tangent, read(self.across, at))
-        normal = normal / np.linalg.norm(normal)
-        if normal @ point > 0:
-            normal = -normal
-        return point, tangent, normal
+def _share_seen(goal: TrackedGoal, segment: Array) -> float:
+    """Share of the stations that a `segment` (2, 2) in goal coordinates lies at, which are seen on both sides of the goal."""
+    place, last = np.sort(segment[:, 0]), len(goal.visible) - 1
+    first = int(np.clip(np.floor(place[0] * last), 0, last))
+    return float(goal.visible[first : int(np.clip(np.ceil(place[1] * last), first, last)) + 1].mean())
 
 
 def _on_goal(goal: TrackedGoal, segment: Array) -> Array:

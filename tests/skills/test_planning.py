@@ -1,12 +1,15 @@
 """The planning agent's geometry, and what it does when it cannot see or may not move."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hardware.codes import Code
 from hardware.interface import CUTTER, MoveReport, MoveStatus, Pose
 from skills.dissect import planning
-from skills.dissect.planning import Path, PlanningAgent, PlanningConfig, _on_goal, retraction_direction
+from skills.dissect.path import Path
+from skills.dissect.planning import PlanningAgent, PlanningConfig, _on_goal, retraction_direction
 from skills.grasp import GraspConfig, Grasped
 from skills.scene.stereo import StereoConfig
 from skills.skill import ImmediateExecutor
@@ -167,3 +170,32 @@ def test_after_closing_on_nothing_the_next_bite_is_deeper(monkeypatch):
 
     config = GraspConfig()
     assert bites == pytest.approx([config.bite + k * config.deeper for k in range(3)])
+
+
+def test_a_corrective_segment_that_stays_hidden_is_not_cut():
+    table, cutting = Table(), agent()
+    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+    whole = goal()
+    hidden = np.arange(12) < 6
+
+    def tracked() -> TrackedGoal:
+        return replace(whole, stamp=table.bench.now(), visible=~hidden)
+
+    outcome = table.finish(cutting.run(table.lease, tracked, np.array([[[200.0, 240.0], [300.0, 240.0]]])))
+
+    assert outcome.code is Code.GOAL_LOST
+    assert "hidden" in outcome.message
+    assert outcome.snips == ()
+
+
+def test_the_scissors_make_way_for_a_look_at_a_hidden_segment():
+    table, cutting = Table(), agent()
+    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+    waiting = table.lease.measured_cp(CUTTER).value.position
+    cutting._waiting = table.lease.measured_cp(CUTTER).value
+    assert table.move(CUTTER, 0.0, 0.0, -5.0) is Code.OK
+    table.bench.advance(2.0)
+
+    table.finish(cutting._unhidden(table.lease, lambda: replace(goal(), stamp=table.bench.now())))
+
+    assert table.lease.measured_cp(CUTTER).value.position == pytest.approx(waiting, abs=1e-3)

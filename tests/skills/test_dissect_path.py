@@ -1,0 +1,72 @@
+"""Segments lifted to 3D: on the tissue that still holds, and not on rims that a pull has lifted."""
+
+import numpy as np
+import pytest
+
+from hardware.interface import CameraModel
+from skills.dissect.path import held_part, on_tissue
+from skills.scene.stereo import DepthMap
+from skills.tracking.tracks import TrackedGoal
+
+CAMERA = CameraModel(640, 480, 600.0, 320.0, 240.0, 5e-3)
+SURFACE = 0.08  # [m], where the tissue lies
+OPEN = slice(200, 320)  # [px], columns where the cut has opened: the bed shows, and the near rim is lifted
+WHOLE = np.array([[0.0, 0.0], [1.0, 0.0]])
+
+
+def goal() -> TrackedGoal:
+    """240 px along u; where it is open the near row is pulled far up."""
+    u = np.linspace(200, 440, 31)
+    line = np.column_stack([u, np.full(31, 240.0)])
+    aside = np.array([0.0, 18.0])
+    near, far = line - aside, line + aside
+    near[u < OPEN.stop, 1] -= 60.0
+    return TrackedGoal(0.0, (near + far) / 2, near, far, np.ones(31, bool), np.array([320.0, 150.0]), True, False, float("nan"))
+
+
+def scene() -> tuple[DepthMap, np.ndarray]:
+    depth = np.full((480, 640), SURFACE)
+    depth[:235, OPEN] = SURFACE - 0.012
+    tissue = np.ones((480, 640), dtype=bool)
+    tissue[180:258, OPEN] = False
+    return DepthMap(0.0, depth, 1.0), tissue
+
+
+def test_a_corrective_segment_lies_on_the_tissue_that_holds():
+    path = on_tissue(goal(), scene()[0], CAMERA, WHOLE, scene()[1])
+
+    assert path is not None
+    assert path.points[:, 2] == pytest.approx(np.full(25, SURFACE), abs=1e-6)
+    _, tangent, normal = path.frame_at(0.7 * path.length, 4e-3)
+    assert tangent == pytest.approx([1.0, 0.0, 0.0], abs=0.02)
+    assert normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-3)
+
+
+def test_where_no_tissue_is_seen_there_is_no_such_path():
+    depth, tissue = scene()
+
+    assert on_tissue(goal(), depth, CAMERA, WHOLE, np.zeros_like(tissue)) is None
+
+
+def test_only_the_part_that_holds_is_cut_and_a_little_of_what_is_open():
+    depth, tissue = scene()
+
+    part = held_part(goal(), depth, CAMERA, WHOLE, tissue)
+
+    assert 240.0 * part[:, 0] + 200.0 == pytest.approx([OPEN.stop - 10.0, 440.0], abs=10.0)
+
+
+def test_a_segment_of_which_no_tissue_is_seen_is_left_as_it_is():
+    depth, tissue = scene()
+
+    assert held_part(goal(), depth, CAMERA, WHOLE, np.zeros_like(tissue)).tolist() == WHOLE.tolist()
+
+
+def test_places_outside_the_image_hold_nothing():
+    depth, tissue = scene()
+    beyond = np.array([[0.5, 0.0], [2.5, 0.0]])
+
+    part = held_part(goal(), depth, CAMERA, beyond, tissue)
+
+    assert part[0] == pytest.approx(beyond[0])
+    assert 1.6 < part[1, 0] < 2.0
