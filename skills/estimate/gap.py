@@ -210,12 +210,12 @@ def _darkest(profiles: _Profiles) -> Array:
 
 def _pass_under(mask: NDArray[np.bool_], ends: Array) -> NDArray[np.bool_]:
     """Which lines (E,) between `ends` (E, 2, 2) meet the `mask` (H, W), looked at in 32 places."""
-    t = np.linspace(0.0, 1.0, 32)[None, :, None]
-    with np.errstate(invalid="ignore"):
-        at = np.rint(np.nan_to_num(ends[:, :1] + t * (ends[:, 1:] - ends[:, :1]), nan=-1.0)).astype(np.int64)
-    height, width = mask.shape
-    inside = ((at >= 0) & (at < (width, height))).all(axis=2)
-    return np.asarray((inside & mask[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]).any(axis=1))
+    t = np.linspace(0.0, 1.0, 32, dtype=np.float32)
+    first = np.nan_to_num(ends[:, 0], nan=-1.0).astype(np.float32)
+    along = np.nan_to_num(ends[:, 1], nan=-1.0).astype(np.float32) - first
+    u, v = (first[:, k, None] + t * along[:, k, None] for k in (0, 1))
+    # Beyond the picture nothing hides.
+    return np.asarray((cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST) != 0).any(axis=1))
 
 
 def _longest_run(dark: NDArray[np.bool_]) -> Array:

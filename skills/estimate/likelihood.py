@@ -57,7 +57,8 @@ class LikelihoodConfig:
     hides_bed: float = 3.0  # [px] of an expected opening through which the bed is not seen yet,
     shows_bed: float = 8.0  # and through which it is
     lately: float = 0.3  # share of the looks, the last ones: an edge whose ends were not seen together since is unknown,
-    often: float = 0.6  # and so is one that was seen in fewer looks than this share
+    often: float = 0.6  # and so is one that was seen in fewer looks than this share;
+    beside: float = 0.4  # share of the looks, whichever, that is enough beside the goal, where a pull cuts nothing
     healed: float = 2.0  # [px] of bed seen after which an edge stays severed when its ends are hidden later
 
     def __post_init__(self) -> None:
@@ -66,7 +67,7 @@ class LikelihoodConfig:
         positive = (self.pixel_error, self.even, self.steepness, self.most, self.wide, self.healed, self.hides_bed)
         if not (all(value > 0 for value in positive) and self.model_error >= 0 and self.shows_bed > self.hides_bed):
             raise ValueError("errors, widths and what lengths may say must be positive, and the bed shows after it is hidden")
-        if not all(0 <= share <= 1 for share in (self.min_confidence, self.max_unknown, self.lately, self.often)):
+        if not all(0 <= share <= 1 for share in (self.min_confidence, self.max_unknown, self.lately, self.often, self.beside)):
             raise ValueError("confidence and shares must lie between 0 and 1")
         if self.weights.groove < -self.weights.parted:
             raise ValueError("a groove may not speak more for connected than tissue in which nothing opened")
@@ -78,7 +79,7 @@ class Evidence:
 
     `parted` and `bed` [px] are the widest opening seen along it and the bed seen through it, `expected` [px] the widest opening that a
     severed edge would have shown by now, `length` the mean over the looks of the log-likelihood ratio of its length (above 0: severed),
-    `ratio` the elongation when both ends were last seen, `seen` whether that was lately, and often enough.
+    `ratio` the elongation when both ends were last seen, `seen` whether that was lately (across the goal), and often enough.
     """
 
     parted: Array
@@ -95,7 +96,7 @@ def evidence(
     """Gather the evidence from `looks`, in order, the last of which is now; see `estimate_connectivity`."""
     config = config or LikelihoodConfig()
     measured = [_measured(grid, reference, look, config) for look in looks]
-    ratio, seen = _lately(measured, config)
+    ratio, seen = _lately(measured, grid.crosses_goal, config)
     expected, length = np.full(len(grid.edges), np.nan), np.full(len(grid.edges), np.nan)
     if forecast is not None and len(forecast.gap):
         e = forecast.edges
@@ -176,16 +177,22 @@ def _measured(grid: Grid, reference: Array, look: Look, config: LikelihoodConfig
     return np.where(across, seen[0], placed[0]), np.where(across, seen[1], placed[1] & np.isfinite(look.parted))
 
 
-def _lately(measured: Sequence[tuple[Array, NDArray[np.bool_]]], config: LikelihoodConfig) -> tuple[Array, NDArray[np.bool_]]:
+def _lately(
+    measured: Sequence[tuple[Array, NDArray[np.bool_]]], across: NDArray[np.bool_], config: LikelihoodConfig
+) -> tuple[Array, NDArray[np.bool_]]:
     """The newest known elongation (E,) of each edge, and which edges (E,) are seen now, or were until lately and in most looks.
 
-    A highlight that passes over a keypoint at the last moment takes nothing back of what was seen of it before.
+    A highlight that passes over a keypoint at the last moment takes nothing back of what was seen of it before. Those that are not
+    `across` (E,) the goal may be hidden for longer: a tool that comes before them later severs nothing.
     """
     seen = np.array([known for _, known in measured])
     newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
     ratio = np.array([rho for rho, _ in measured])[newest, np.arange(seen.shape[1])]
     recent = len(seen) - 1 - newest <= config.lately * len(seen)
-    lately = np.asarray(seen[-1] | (seen.any(axis=0) & recent & (seen.mean(axis=0) >= config.often)))
+    share = seen.mean(axis=0)
+    lately = np.asarray(
+        seen[-1] | (seen.any(axis=0) & np.where(across, recent & (share >= config.often), share >= config.beside))
+    )
     return np.where(lately, ratio, np.nan), lately
 
 

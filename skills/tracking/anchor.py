@@ -8,6 +8,7 @@ warped frame does not look like the reference (a tool, a fold, a highlight), the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from hardware.interface import Array
+from hardware.interface import Array, Image
 from skills.tracking.flow import Field, Flow, FlowBox, box_around, cut_out, sampled
 from skills.tracking.hidden import Mask
 from skills.tracking.picture import Picture
@@ -46,6 +47,15 @@ class AnchorConfig:
             raise ValueError("an anchor needs a margin, a patch, smoothing and doubtful likeness below certain likeness")
 
 
+@dataclass(frozen=True)
+class _Patched:
+    """A picture, and mean and variance of the patch around each pixel: (H, W) each."""
+
+    grey: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    variance: NDArray[np.float32]
+
+
 class Anchor:
     """The reference of one side. `follow` is called with each new frame; one thread."""
 
@@ -66,7 +76,8 @@ class Anchor:
         if tool_mask is not None:
             self._own &= ~tool_mask[v0:v1, u0:u1]
         self._seen = self._own  # and not under a tool now
-        self._sees, self._even = cut_out(flow.sees(picture), self._box), cut_out(picture.even, self._box)
+        self._sees = cut_out(flow.sees(picture), self._box)
+        self._patches = _patched(cut_out(picture.even, self._box), config.radius)
         self._field: Field = np.zeros((*u.shape, 2), np.float32)
         self._before = self._field
         self._points = points[mine]
@@ -79,14 +90,18 @@ class Anchor:
         then it is looked for once more from where single points, `found` (M,) among `moved` (M, 2), were found again.
         """
         chained, self._before = self._chained(step, tool_mask), self._field
-        field, alike = self._settled(new, chained, tool_mask)
+        field, alike = self._settled(new, chained, tool_mask, self._flow.near)
+        if self.holding(alike) < self._config.min_holding:
+            field, alike = self._settled(new, chained, tool_mask, self._flow.flow)
         if found.any() and self.holding(alike) < self._config.min_holding:
             jumps = np.zeros_like(chained)
             weights = np.zeros(chained.shape[:2], np.float32)
             at = np.clip(np.rint(self._at[found]).astype(np.int64), 0, [chained.shape[1] - 1, chained.shape[0] - 1])
             jumps[at[:, 1], at[:, 0]] = moved[found] - self._points[found] - sampled(chained, self._at[found])
             weights[at[:, 1], at[:, 0]] = 1.0
-            again, alike_again = self._settled(new, chained + _filled(jumps, weights, self._config.smoothing), tool_mask)
+            again, alike_again = self._settled(
+                new, chained + _filled(jumps, weights, self._config.smoothing), tool_mask, self._flow.flow
+            )
             if self.holding(alike_again) > self.holding(alike):
                 field, alike = again, alike_again
         self._field = field
@@ -117,19 +132,21 @@ class Anchor:
         u, v = self._pixels
         return np.asarray(cv2.remap(tool_mask.astype(np.uint8), u + field[..., 0], v + field[..., 1], cv2.INTER_NEAREST) != 0)
 
-    def _settled(self, new: Picture, field: Field, tool_mask: Mask | None) -> tuple[Field, Array]:
-        """Correct `field` (H, W, 2) so that the reference fits the new picture; give it, and the points' likeness (M,)."""
+    def _settled(
+        self, new: Picture, field: Field, tool_mask: Mask | None, flow: Callable[[Image, Image], Field]
+    ) -> tuple[Field, Array]:
+        """Correct `field` (H, W, 2) by `flow` so that the reference fits the new picture; give it, and the points' likeness (M,)."""
         c = self._config
         u, v = self._pixels
         own = self._seen = self._own if tool_mask is None else self._own & ~self._under(tool_mask, field)
         back = _read(self._flow.sees(new), u + field[..., 0], v + field[..., 1])
         # What is not this side's tissue is shown as the reference has it: there, nothing pulls.
         back = np.where(own if back.ndim == 2 else own[..., None], back, self._sees)
-        rest = self._flow.flow(self._sees, back)
+        rest = flow(self._sees, back)
         u0, v0 = self._box[:2]
         field = rest + _read(field, u - u0 + rest[..., 0], v - v0 + rest[..., 1])
         even = _read(new.even, u + field[..., 0], v + field[..., 1])
-        alike = _likeness(self._even, even, c.radius, c.noise)
+        alike = _likeness(self._patches, even, c.radius, c.noise)
         trust = np.clip((alike - c.doubtful) / (c.certain - c.doubtful), 1e-3, 1.0)
         trust = np.where(own, trust, 1e-6).astype(np.float32)
         return _filled(field, trust, c.smoothing), sampled(np.where(own, alike, 0.0), self._at)
@@ -139,13 +156,18 @@ def _read(picture: NDArray[Any], u: NDArray[np.float32], v: NDArray[np.float32])
     return np.asarray(cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _likeness(a: NDArray[np.uint8], b: NDArray[np.uint8], radius: int, noise: float) -> NDArray[np.float32]:
+def _patched(picture: NDArray[np.uint8], radius: int) -> _Patched:
+    """The picture with what is asked of the patches around each of its pixels."""
+    x, size = picture.astype(np.float32), (2 * radius + 1, 2 * radius + 1)
+    mean = cv2.blur(x, size)
+    return _Patched(x, np.asarray(mean), np.asarray(np.maximum(cv2.blur(x * x, size) - mean * mean, 0.0)))
+
+
+def _likeness(a: _Patched, picture: NDArray[np.uint8], radius: int, noise: float) -> NDArray[np.float32]:
     """How alike (H, W) the patches around each pixel of two pictures are: `patches.same`, everywhere at once."""
-    x, y, size = a.astype(np.float32), b.astype(np.float32), (2 * radius + 1, 2 * radius + 1)
-    mx, my = cv2.blur(x, size), cv2.blur(y, size)
-    vx = np.maximum(cv2.blur(x * x, size) - mx * mx, 0.0)
-    vy = np.maximum(cv2.blur(y * y, size) - my * my, 0.0)
-    return np.asarray(2.0 * (cv2.blur(x * y, size) - mx * my + noise**2) / (vx + vy + 2.0 * noise**2))
+    b, size = _patched(picture, radius), (2 * radius + 1, 2 * radius + 1)
+    together = cv2.blur(a.grey * b.grey, size) - a.mean * b.mean
+    return np.asarray(2.0 * (together + noise**2) / (a.variance + b.variance + 2.0 * noise**2))
 
 
 def _filled(field: Field, trust: NDArray[np.float32], smoothing: float) -> Field:
@@ -156,9 +178,10 @@ def _filled(field: Field, trust: NDArray[np.float32], smoothing: float) -> Field
     height, width = trust.shape
     size = (max(1, width // COARSE), max(1, height // COARSE))
     weights = cv2.resize(trust, size, interpolation=cv2.INTER_AREA)
-    values = cv2.resize(field * trust[..., None], size, interpolation=cv2.INTER_AREA)
+    both = cv2.merge([trust, trust])
+    values = cv2.resize(field * both, size, interpolation=cv2.INTER_AREA)
     near, far = smoothing / COARSE, 4.0 * smoothing / COARSE
     top = cv2.GaussianBlur(values, (0, 0), near) + 1e-3 * cv2.GaussianBlur(values, (0, 0), far)
     bottom = cv2.GaussianBlur(weights, (0, 0), near) + 1e-3 * cv2.GaussianBlur(weights, (0, 0), far)
     smooth = cv2.resize(top / (bottom + 1e-12)[..., None], (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(smooth + trust[..., None] * (field - smooth), dtype=np.float32)
+    return np.asarray(smooth + both * (field - smooth), dtype=np.float32)

@@ -79,6 +79,10 @@ class FlowExported:
         inner = np.ascontiguousarray(flow[0, :, top : top + rows, left : left + columns].transpose(1, 2, 0))
         return inner if scale == 1.0 else np.asarray(cv2.resize(inner, (width, height)) / np.float32(scale))
 
+    def near(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> Field:
+        """The same network's."""
+        return self.flow(old, new)
+
     def check(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> Field:
         """The same network's."""
         return self.flow(old, new)

@@ -82,7 +82,7 @@ class GoalTracker:
         if self._gaps is not None:
             part = self._grid_part()
             self._placed = placed(part, self._neighbours, hidden, hidden.shape[::-1])
-            self._gaps.look(frame.image, self._beside_the_goal(part), self._placed, hidden)
+            self._gaps.look(frame.image, self._beside_the_goal(part), self._placed, hidden if hidden.any() else None)
         return tracked
 
     def tracked(self) -> TrackedGoal:

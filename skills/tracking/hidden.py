@@ -14,6 +14,8 @@ from skills.tracking.patches import Patches, patches_at, texture
 
 Mask = NDArray[np.bool_]
 
+ALONG = 3  # neighbours whose median step tells where to look
+
 
 @dataclass(frozen=True)
 class HiddenConfig:
@@ -28,19 +30,21 @@ class HiddenConfig:
     max_change: float = 0.2  # of the brightness of such a flat patch
 
 
-def with_neighbours(before: Array, moved: Array, seen: Mask, groups: NDArray[np.int64], neighbours: int) -> Array:
-    """Let the unseen of `moved` (N, 2) go along: the median step from `before` of their nearest seen neighbours of the same group."""
-    result = moved.copy()
-    for k in np.flatnonzero(~seen):
-        near = np.flatnonzero(seen & (groups == groups[k]))
+def with_neighbours(before: Array, moved: Array, asked: Mask, seen: Mask, groups: NDArray[np.int64], neighbours: int) -> Array:
+    """Let those of `moved` (N, 2) that are `asked` (N,) go along: the median step from `before` of their nearest seen neighbours.
+
+    Neighbours are of the same group; the other side of the cut moves otherwise, and is asked only when nothing is seen on this one.
+    """
+    result, steps = moved.copy(), moved - before
+    for group in np.unique(groups[asked]):
+        mine, near = np.flatnonzero(asked & (groups == group)), np.flatnonzero(seen & (groups == group))
         if not len(near):
             near = np.flatnonzero(seen)
         if not len(near):
-            result[k] = before[k]
+            result[mine] = before[mine]
             continue
-        order = np.argsort(np.linalg.norm(before[near] - before[k], axis=1), kind="stable")
-        near = near[order[:neighbours]]
-        result[k] = before[k] + np.median(moved[near] - before[near], axis=0)
+        nearest = near[np.argsort(cdist(before[mine], before[near]), axis=1, kind="stable")[:, :neighbours]]
+        result[mine] = before[mine] + np.median(steps[nearest], axis=1)
     return result
 
 
@@ -62,11 +66,10 @@ def find_again(
     found tells where to look for the next one on its side. `lost` points go along, but are not looked for.
     """
     moved, seen, found = moved.copy(), seen.copy(), np.zeros(len(moved))
-    pending = ~seen
-    if not (recognised and seen.any() and pending.any()):
-        moved[pending] = before[pending]
+    if not (recognised and seen.any()):
+        moved[~seen] = before[~seen]
         return moved, seen, found
-    waiting = np.flatnonzero(pending)
+    waiting = np.flatnonzero(~seen & ~lost)
     textured = texture(patches[waiting]) >= config.min_texture
     apart = cdist(before[waiting], before)
     # The other side of the cut moves otherwise: it is asked only when nothing is seen on this one.
@@ -76,16 +79,16 @@ def find_again(
         i = int(np.argmin(from_seen))
         k = waiting[i]
         near = np.flatnonzero(seen)
-        near = near[np.argsort(apart[i, near], kind="stable")[:3]]
+        near = near[np.argsort(apart[i, near], kind="stable")[:ALONG]]
         moved[k] = before[k] + np.median(moved[near] - before[near], axis=0)
         from_seen[i] = np.inf
-        if lost[k] or not _open_to_view(grey, moved[k], tool_mask):
+        if not _open_to_view(grey, moved[k], tool_mask):
             continue
         place, alike = _search(grey, moved[k], patches[k], bool(textured[i]), config)
         if alike >= config.similarity and _open_to_view(grey, place, tool_mask):
             moved[k], seen[k], found[k] = place, True, alike
             from_seen = np.where(np.isinf(from_seen), np.inf, np.minimum(from_seen, apart[:, k]))
-    return moved, seen, found
+    return with_neighbours(before, moved, ~seen, seen, groups, ALONG), seen, found
 
 
 def inside(points: Array, picture: NDArray[np.uint8]) -> Mask:

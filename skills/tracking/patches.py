@@ -40,7 +40,7 @@ def same(a: Patches, b: Patches, noise: float) -> Array:
     One minus the squared difference over the patches' summed variances, those of the picture's `noise` [grey levels] included:
     close to the correlation where there is texture, and 1 for two flat patches, which correlation would call unlike.
     """
-    x, y = (p.reshape(len(p), p.shape[1] * p.shape[2]).astype(np.float64) for p in (a, b))
+    x, y = (p.reshape(len(p), p.shape[1] * p.shape[2]) for p in (a, b))
     x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
     variances = (x**2).mean(axis=1) + (y**2).mean(axis=1) + 2 * noise**2
-    return np.asarray(1.0 - ((x - y) ** 2).mean(axis=1) / variances)
+    return np.asarray(1.0 - ((x - y) ** 2).mean(axis=1) / variances, dtype=np.float64)

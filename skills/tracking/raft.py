@@ -35,6 +35,10 @@ class FlowRAFT:
         """Flow after upstream's usual number of iterations."""
         return self._run(old, new, ITERATIONS)
 
+    def near(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> Field:
+        """Flow after upstream's usual number of iterations too."""
+        return self._run(old, new, ITERATIONS)
+
     def check(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> Field:
         """Flow after fewer iterations."""
         return self._run(old, new, CHECK_ITERATIONS)

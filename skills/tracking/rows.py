@@ -38,9 +38,9 @@ def smooth_row(
     good = usable & (_off(displacement - _running_median(displacement, usable, config.window), usable, config) < 1.0)
     smooth = displacement
     for _ in range(3):
-        smooth = _whittaker(displacement, np.where(good, np.maximum(confidence, 0.05), 0.0), config)
+        before, smooth = good, _whittaker(displacement, np.where(good, np.maximum(confidence, 0.05), 0.0), config)
         good = usable & (_off(displacement - smooth, good, config) < 1.0)
-        if not good.any():
+        if not good.any() or (good == before).all():
             break
     return laid + smooth, good
 

@@ -87,6 +87,8 @@ class TrackerStepwise(ABC):
             self._frame = (frame.sequence, frame.stamp)
             return self.tracks()
         c, new = self.config, self._look(frame)
+        if tool_mask is not None and not tool_mask.any():
+            tool_mask = None
         moved, disagreement = self._follow(new)
         seen, similar = self._still_seen(new, moved, disagreement, tool_mask)
         moved, seen, alike = find_again(
@@ -146,8 +148,9 @@ class TrackerStepwise(ABC):
         seen = sure & (similar >= c.min_similarity)
         # A cut that opens beside a point changes its patch; the point itself still looks the same.
         centre = np.abs(_centres(patches) - _centres(self._patches)) <= c.max_change * _centres(self._patches)
-        along = with_neighbours(self._points, moved, seen, self._groups, c.hidden.neighbours)
-        return seen | (sure & centre & (np.linalg.norm(moved - along, axis=1) <= c.max_disagreement)), similar
+        doubtful = sure & centre & ~seen
+        along = with_neighbours(self._points, moved, doubtful, seen, self._groups, c.hidden.neighbours)
+        return seen | (doubtful & (np.linalg.norm(moved - along, axis=1) <= c.max_disagreement)), similar
 
 
 def _confidence(disagreement: Array, similar: Array, found: Array, agreement: Array) -> Array:

@@ -323,15 +323,28 @@ def test_an_edge_of_which_nothing_was_expected_is_judged_like_one_without_a_fore
 # ------------------------------------------------------------ what is not seen
 
 
-def test_edges_with_a_hidden_end_are_unknown_and_never_severed():
+def test_edges_across_the_goal_with_a_hidden_end_are_unknown_and_never_severed():
     hidden = ends_of(3)
     graph = judge(pulled(3.0, WIDE, 0.0, hidden))
 
-    touched = np.isin(GRID.edges, hidden).any(axis=1)
+    touched = np.isin(GRID.edges, hidden).any(axis=1) & GRID.crosses_goal
     assert (graph.state[touched] == EdgeState.UNKNOWN).all()
     assert np.isfinite(graph.probability[touched]).all()
     assert np.isnan(graph.elongation[touched]).all()
     assert not graph.complete
+
+
+def test_an_edge_beside_the_goal_that_something_hides_later_stays_connected_but_not_one_that_was_never_seen():
+    hidden = ends_of(3)
+    beside = np.isin(GRID.edges, hidden).any(axis=1) & ~GRID.crosses_goal
+    later = pulled(1.4, hidden=hidden)
+    never = [replace(look, tracks=tracks(look.tracks.points, hidden)) for look in later]
+    for looks in (later, never):
+        for k, look in enumerate(looks):
+            looks[k] = replace(look, placed=look.tracks.visible)
+
+    assert (judge(later).state[beside] == EdgeState.CONNECTED).all()
+    assert (judge(never).state[beside] == EdgeState.UNKNOWN).all()
 
 
 def test_an_edge_hidden_later_stays_severed_where_the_bed_was_seen_before():
