@@ -4,7 +4,7 @@ Where each step goes is the business of a `Steering`: a fixed direction, or the 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +13,7 @@ from hardware.codes import Code
 from hardware.gate import Lease
 from hardware.interface import CUTTER, GRASPER, Array, MoveReport, MoveStatus, Pose
 from skills.estimate.grid import Grid
+from skills.expose.felt import Touch, TouchConfig, felt_line
 from skills.expose.outcome import ExposeOutcome, Forecast
 from skills.grasp import Grasped
 from skills.motion import pause, servo_line, wait
@@ -31,9 +32,10 @@ class PullConfig:
     settle: float = 0.3  # [s] before the reference and after the pull
     slip_drop: float = 0.6  # share of the greatest tension so far that is lost when the tissue has left the jaws
     slip_tension: float = 0.5  # [N] below this tension says nothing about slip
-    # Steps in a row refused for tension after which a pull ends that can turn elsewhere. More than one opens stuck flaps farther, but the
-    # next step begins at the limit, and the gate lets it turn there: stiff tissue may pass the abort limit within it.
-    refusals: int = 1
+    # Steps in a row refused for tension after which a pull ends that can turn elsewhere. The gate lets a step that turns begin at the
+    # limit; by touch it goes no farther than can be felt.
+    refusals: int = 3
+    touch: TouchConfig = field(default_factory=TouchConfig)
 
     def __post_init__(self) -> None:
         lengths = (self.step, self.speed, self.relaxed, self.settle, self.slip_tension)
@@ -107,10 +109,11 @@ class Exposure:
         try:
             stop = yield from self._ready(lease, tracked, grasped, park, mark_reference)
             number, here = 0, lease.setpoint_cp(GRASPER)
+            touch = Touch(config.touch, lease.limits.tension_stop, lease.tension())
             self.pulling = stop is None
             while stop is None and number < config.steps:
                 number += 1
-                stop, here = yield from self._step(lease, tracked, number, here, log)
+                stop, here = yield from self._step(lease, tracked, number, here, touch, log)
                 self.steps_done = log.steps
             if stop is None:
                 stop = Stop(Code.OK, f"pulled all {config.steps} steps", Code.EXPOSURE_STEPS_DONE)
@@ -163,7 +166,13 @@ class Exposure:
         return (yield from servo_line(lease, GRASPER, target, self._config.speed, "relaxing the tissue"))
 
     def _step(
-        self, lease: Lease, tracked: Callable[[], TrackedGoal | None], number: int, here: Pose, log: "_Log"
+        self,
+        lease: Lease,
+        tracked: Callable[[], TrackedGoal | None],
+        number: int,
+        here: Pose,
+        touch: Touch,
+        log: "_Log",
     ) -> Steps[tuple[Stop | None, Pose]]:
         """One step of the pull from `here`: why to stop, or None, and where the jaws are sent now."""
         config = self._config
@@ -172,7 +181,7 @@ class Exposure:
         if isinstance(step, Stop):
             return replace(step, message=f"{done}: {step.message}"), here
         target = here.moved(step)
-        report = yield from servo_line(lease, GRASPER, target, config.speed, doing, here)
+        report = yield from felt_line(lease, target, config.speed, doing, here, touch)
         refused = report.code is Code.TENSION
         if report.code is Code.STRAIN or (refused and not (self._steering.turns and log.refusals + 1 < config.refusals)):
             return Stop(Code.OK, f"{done}: {report.message}", report.code), here

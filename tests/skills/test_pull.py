@@ -366,7 +366,7 @@ def test_a_steering_that_turns_is_asked_again_when_a_step_was_refused_for_tensio
         pull.pulls_with(4.2 if number == 5 else 3.0)
         return STEP
 
-    pull = Pull(ScriptedSteering(steer), refusals=3)
+    pull = Pull(ScriptedSteering(steer))
     pull.steering.turns = True
 
     outcome = pull.finish()
@@ -380,7 +380,7 @@ def test_a_steering_that_turns_is_asked_again_when_a_step_was_refused_for_tensio
 
 
 def test_a_step_refused_for_tension_counts_from_where_the_gate_held_the_jaws():
-    pull = from_step(5, lambda pull: pull.pulls_with(4.2), refusals=3)
+    pull = from_step(5, lambda pull: pull.pulls_with(4.2))
     pull.steering.turns = True
 
     outcome = pull.finish()
@@ -389,7 +389,7 @@ def test_a_step_refused_for_tension_counts_from_where_the_gate_held_the_jaws():
 
 
 def test_tension_that_stays_at_its_limit_ends_a_pull_that_turns():
-    pull = from_step(5, lambda pull: pull.pulls_with(4.2), refusals=3)
+    pull = from_step(5, lambda pull: pull.pulls_with(4.2))
     pull.steering.turns = True
 
     outcome = pull.finish()
@@ -399,8 +399,8 @@ def test_tension_that_stays_at_its_limit_ends_a_pull_that_turns():
     assert np.linalg.norm(outcome.path[-1] - outcome.path[3]) < 0.4e-3
 
 
-def test_unless_told_otherwise_one_refusal_for_tension_ends_a_pull_that_turns_too():
-    pull = from_step(5, lambda pull: pull.pulls_with(4.2))
+def test_a_single_refusal_ends_a_pull_that_turns_where_no_more_are_allowed():
+    pull = from_step(5, lambda pull: pull.pulls_with(4.2), refusals=1)
     pull.steering.turns = True
 
     outcome = pull.finish()
