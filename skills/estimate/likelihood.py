@@ -33,7 +33,7 @@ class Weights:
     parted: float = 1.9  # of an opening of `wide` pixels or more, in proportion below
     bed: float = 2.5  # of the bed seen through it, `wide` pixels or more, in proportion below
     groove: float = -1.9  # of an opening that should show the bed by now, were it a full cut's, and does not
-    shorter: float = 1.2  # per nat of the lengths' log-likelihood ratio where it speaks for connected
+    shorter: float = 1.2  # per nat of the lengths' log-likelihood ratio where it speaks for connected, and no bed is seen
     longer: float = 1.2  # and where it speaks for severed, if an opening is seen;
     longer_whole: float = 0.45  # if none is, a keypoint has rather been mistracked
     elsewhere: float = -6.0  # edges that do not cross the goal are seldom cut
@@ -122,7 +122,9 @@ def log_odds(found: Evidence, crosses_goal: NDArray[np.bool_], config: Likelihoo
     longer = np.where(2.0 * parted >= 1.0, w.longer, w.longer_whole)
     due = np.clip((np.nan_to_num(found.expected) - config.hides_bed) / (config.shows_bed - config.hides_bed), 0.0, 1.0)
     opened = w.parted * parted + w.bed * bed + w.groove * parted * (1.0 - bed) * due
-    odds = w.bias + opened + np.where(length < 0, w.shorter, longer) * length
+    # A keypoint beside a wide opening may be mistracked; what shows the bed was severed, whatever its length seems to be.
+    shorter = w.shorter * (1.0 - bed)
+    odds = w.bias + opened + np.where(length < 0, shorter, longer) * length
     return np.asarray(odds + np.where(crosses_goal, 0.0, w.elsewhere))
 
 

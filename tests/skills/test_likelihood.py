@@ -129,8 +129,12 @@ def test_the_bed_seen_through_an_opening_makes_an_edge_severed(expected):
     assert states(judge(pulled(2.2, WIDE, WIDE), expected)) == {EdgeState.SEVERED}
 
 
-def test_bed_that_was_seen_keeps_an_edge_from_being_connected_though_it_is_short():
-    assert EdgeState.CONNECTED not in states(judge(pulled(1.2, WIDE, WIDE)))
+def test_bed_that_was_seen_makes_an_edge_severed_though_its_length_seems_to_say_otherwise():
+    assert states(judge(pulled(1.2, WIDE, WIDE))) == {EdgeState.SEVERED}
+
+
+def test_a_little_of_the_bed_does_not_outweigh_a_length_as_of_a_connected_edge():
+    assert EdgeState.SEVERED not in states(judge(pulled(1.2, 1.0, 0.5)))
 
 
 @pytest.mark.parametrize("rho", [1.0, 1.4, 1.8])
@@ -208,7 +212,7 @@ def test_a_severed_edge_that_opened_little_is_severed_where_the_papers_rule_call
 
 
 def test_a_length_as_expected_of_a_severed_edge_raises_and_of_a_connected_one_lowers_the_probability():
-    for widths in ((0.0, 0.0), (WIDE, 0.0), (WIDE, WIDE)):
+    for widths in ((0.0, 0.0), (WIDE, 0.0), (WIDE, 1.0)):
         severed, connected = (judge(pulled(rho, *widths)).probability[CROSSING] for rho in (3.0, 1.4))
         telling_nothing = judge(pulled(2.0, *widths), forecast(2.0, 2.0)).probability[CROSSING]
 
