@@ -20,6 +20,7 @@ class Code(StrEnum):
     RECORDER_FAILED = "recorder_failed"
     SETUP_CHANGED = "setup_changed"  # instrument, frame or base are not what was configured and calibrated
     FOREIGN_MOTION = "foreign_motion"  # somebody else drives an arm
+    NOT_OBEYED = "not_obeyed"  # an arm that says it is ready does not do what it is told
     DEADMAN = "deadman"  # it is gone, or it holds the arms
     CONNECTION_LOST = "connection_lost"
     # Recoverable conditions and refusals by the safety gate
@@ -70,6 +71,7 @@ LATCHED = (
     Code.RECORDER_FAILED,
     Code.SETUP_CHANGED,
     Code.FOREIGN_MOTION,
+    Code.NOT_OBEYED,
     Code.DEADMAN,
     Code.CONNECTION_LOST,
 )

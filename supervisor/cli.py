@@ -1,23 +1,42 @@
-"""The command line: `dissect run`, `watch`, `replay`, `doctor`, `serve-stub`, `experiment`."""
+"""The command line: `dissect run`, `watch`, `replay`, `doctor`, `look`, `deadman`, `serve-stub`, `experiment`."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import logging
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
 from hardware.codes import InputError
+from supervisor.cli_experiments import experiment
+from supervisor.cli_options import (
+    Agent,
+    Approve,
+    BenchKind,
+    BenchOption,
+    ConfigOption,
+    Cover,
+    CoverOption,
+    Expose,
+    ExposeOption,
+    JsonOption,
+    Rule,
+    RuleOption,
+    SceneOption,
+    TrackerOption,
+    ViewKind,
+    WeightsOption,
+    robot_file,
+    write_json,
+)
+from supervisor.cli_robot import deadman, look, serve_stub
 
 app = typer.Typer(
     help="Supervises autonomous tissue dissection. Research software, not for clinical use.",
@@ -25,80 +44,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-experiment = typer.Typer(help="The paper's experiments, on the stub bench.", no_args_is_help=True)
 app.add_typer(experiment, name="experiment")
 
 SESSIONS = Path("sessions")
-
-
-class Agent(StrEnum):
-    """Dissection agents."""
-
-    PLANNING = "planning"
-
-
-class Expose(StrEnum):
-    """How the tissue is pulled to see the cut; the same words as `supervisor.skillset.ExposureKind`, without what it imports."""
-
-    OPTIMAL = "optimal"
-    NAIVE = "naive"
-    GOAL_NORMAL = "goal-normal"
-
-
-class Rule(StrEnum):
-    """How edges are judged; the same words as `skills.estimate.rule.Rule`, without what it imports."""
-
-    LIKELIHOOD = "likelihood"
-    ELONGATION = "elongation"
-
-
-class Cover(StrEnum):
-    """How the corrective segments are chosen."""
-
-    OPTIMAL = "optimal"
-    GREEDY = "greedy"
-
-
-class Approve(StrEnum):
-    """Who approves goals."""
-
-    AUTO = "auto"
-    PROMPT = "prompt"
-
-
-class BenchKind(StrEnum):
-    """What a session runs on."""
-
-    STUB = "stub"
-    DVRK = "dvrk"
-
-
-class ViewKind(StrEnum):
-    """What shows a running session."""
-
-    TERMINAL = "terminal"
-    RERUN = "rerun"
-    NONE = "none"
-
-
-SceneOption = Annotated[str, typer.Option(help="Name of a scene, or a .toml file.")]
-ExposeOption = Annotated[
-    Expose,
-    typer.Option(help="Plan the pull (optimal), or pull straight: from the goal's middle to the grasp, or across the goal."),
-]
-RuleOption = Annotated[
-    Rule, typer.Option(help="Judge edges by the whole pull (likelihood), or by the paper's threshold on length (elongation).")
-]
-CoverOption = Annotated[
-    Cover, typer.Option(help="Correct with the fewest segments, proven (optimal), or by the paper's greedy choice (greedy).")
-]
-TrackerOption = Annotated[
-    str, typer.Option(help="dis, dis-chained, lk, litetracker, cotracker3, raft, or a tracker exported to .onnx or .pt2.")
-]
-WeightsOption = Annotated[Path | None, typer.Option("--tracker-weights", help="Checkpoint file of a learned tracker.")]
-BenchOption = Annotated[BenchKind, typer.Option("--bench", help="The simulated bench, or a da Vinci Research Kit.")]
-ConfigOption = Annotated[Path | None, typer.Option("--config", help="The robot's configuration (robot.toml), for --bench dvrk.")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file.")]
 
 
 @app.command()
@@ -130,11 +78,12 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Run one supervised session on the stub bench or on a robot, where every goal is approved by the operator."""
+    from hardware.dvrk.bench import BenchDVRK
     from hardware.stub.scene import load_scene
     from skills.estimate.rule import Rule as EdgeRule
     from supervisor.approvers import AutoApprover, PromptApprover
     from supervisor.choices import Choices
-    from supervisor.robot import connect
+    from supervisor.robot import agree_to_power, connect
     from supervisor.run import RunOptions, exit_status, prepare, prepare_robot
     from supervisor.run import run as run_session
     from supervisor.skillset import ExposureKind
@@ -143,11 +92,11 @@ def run(
     from supervisor.warp_start import start_warp
 
     console = Console()
-    robot_file = _robot_file(bench_kind, config)
-    if robot_file is not None and approve is Approve.AUTO:
+    robot = robot_file(bench_kind, config)
+    if robot is not None and approve is Approve.AUTO:
         raise InputError("on a robot every goal is approved by the operator; leave --approve auto out")
-    asks = robot_file is not None or approve is Approve.PROMPT
-    loaded = load_scene(scene) if robot_file is None else None
+    asks = robot is not None or approve is Approve.PROMPT
+    loaded = load_scene(scene) if robot is None else None
     name = "robot" if loaded is None else loaded.name
     folder = record or _new_folder(name, seed)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -164,7 +113,9 @@ def run(
 
     start_warp()
     with console.status("preparing the bench (the first run compiles its kernels)"):
-        bench, checked = prepare(options) if robot_file is None else prepare_robot(options, connect(robot_file, ask))
+        bench, checked = prepare(options) if robot is None else prepare_robot(options, connect(robot, ask))
+    if isinstance(bench, BenchDVRK):
+        agree_to_power(bench, ask)
     rerun = None
     if view is ViewKind.RERUN:
         folder.mkdir(parents=True, exist_ok=True)
@@ -177,7 +128,7 @@ def run(
     except KeyboardInterrupt:
         console.print(f"\nInterrupted: both arms hold. Record and report are in {folder}.")
         raise typer.Exit(3) from None
-    _write_json(json_file, dataclasses.asdict(result))
+    write_json(json_file, dataclasses.asdict(result))
     console.print(f"\n[bold]{result.outcome}[/bold]: {escape(result.message)}")
     took = f"{result.attempts} attempt{'' if result.attempts == 1 else 's'}, {result.wall_s:.0f} s."
     if result.length_deviation_m is None:
@@ -216,170 +167,21 @@ def doctor(bench_kind: BenchOption = BenchKind.STUB, config: ConfigOption = None
     from supervisor.doctor import able, diagnose, table
     from supervisor.plain import plain
 
-    robot_file = _robot_file(bench_kind, config)
+    robot = robot_file(bench_kind, config)
     checks = diagnose(Path())
-    if robot_file is not None:
+    if robot is not None:
         from supervisor.robot import diagnose_robot
 
         with Console().status("listening to the robot"):
-            checks += diagnose_robot(robot_file)
-    _write_json(json_file, plain(checks))
+            checks += diagnose_robot(robot)
+    write_json(json_file, plain(checks))
     Console().print(table(checks))
     raise typer.Exit(0 if able(checks) else 1)
 
 
-@app.command(name="serve-stub")
-def serve_stub(
-    scene: SceneOption = "silicone",
-    seed: Annotated[int, typer.Option(min=0, help="Gives every random draw.")] = 0,
-    folder: Annotated[
-        Path, typer.Option(help="Where robot.toml, the hand-eye files, goal.json and, at the end, truth.json go.")
-    ] = Path("stub-robot"),
-    transport: Annotated[str, typer.Option(help="ros1 (ROS_MASTER_URI) or ros2.")] = "ros1",
-    prefix: Annotated[str, typer.Option(help="Namespace in front of all topics, such as /dvrk.")] = "",
-    pictures: Annotated[float, typer.Option(min=0.1, max=30.0, help="Most pairs of images per second.")] = 10.0,
-) -> None:
-    """Publish the stub bench as a da Vinci robot on a ROS graph, until interrupted; then write the truth about the tissue."""
-    import shlex
-
-    from hardware.stub.scene import load_scene
-    from supervisor.serve_stub import ServeOptions, serve
-    from supervisor.warp_start import start_warp
-
-    console = Console()
-    options = ServeOptions(load_scene(scene), seed, folder, transport, prefix, pictures)
-    start_warp()
-
-    def ready(robot: Path, drawn: Path) -> None:
-        console.print(
-            f"{options.scene.name}, seed {seed}, is on the graph. Its configuration: {escape(str(robot))}", soft_wrap=True
-        )
-        command = shlex.join(["dissect", "run", "--bench", "dvrk", "--config", str(robot), "--goal", str(drawn)])
-        console.print(command, style="bold", markup=False, highlight=False, soft_wrap=True)
-
-    serve(options, ready)
-
-
-@experiment.command()
-def autonomy(
-    scene: SceneOption = "silicone",
-    agent: Annotated[Agent, typer.Option(help="Dissection agent.")] = Agent.PLANNING,
-    expose: ExposeOption = Expose.OPTIMAL,
-    feedback: Annotated[bool, typer.Option(help="With or without feedback.")] = True,
-    attempts: Annotated[int, typer.Option(min=1, max=20)] = 3,
-    trials: Annotated[int, typer.Option(min=1)] = 40,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others count up.")] = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """How far an agent gets by itself, with and without feedback (paper, Evaluation of Dissection Autonomy)."""
-    from hardware.stub.scene import load_scene
-    from supervisor.experiments.autonomy import AutonomySettings, run_experiment
-
-    load_scene(scene)
-    settings = AutonomySettings(scene, agent.value, feedback, attempts, trials, seed, expose.value)
-    journal = (json_file or Path("autonomy.json")).with_suffix(".trials.jsonl")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    console = Console()
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("trials", total=trials)
-        successes = 0
-
-        def progress(trial: dict[str, Any]) -> None:
-            nonlocal successes
-            successes += bool(trial["success"])
-            bar.update(task, advance=1, description=f"trials ({successes} succeeded)")
-
-        try:
-            figures = run_experiment(settings, journal, workers, progress)
-        except KeyboardInterrupt:
-            console.print(f"Interrupted. The trials that ended are in {journal}; the same command goes on after them.")
-            raise typer.Exit(3) from None
-    _write_json(json_file, figures)
-    low, high = figures["success_ci95"]
-    deviation = figures["length_deviation_m"]
-    console.print(
-        f"success {figures['success_rate']:.0%} (95 % CI {low:.0%} to {high:.0%}), "
-        f"length deviation {deviation['mean'] * 1e3:.2f} ± {deviation['sd'] * 1e3:.2f} mm, "
-        f"{figures['attachments']['mean']:.2f} attachments a trial, false done {figures['false_done_rate']:.1%}, "
-        f"{figures['wall_s']:.0f} s"
-    )
-
-
-@experiment.command()
-def exposure(
-    scene: SceneOption = "chicken",
-    trials: Annotated[int, typer.Option(min=1, help="Seeds; on each, every method pulls.")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others count up.")] = 0,
-    tilt: Annotated[float | None, typer.Option(help="Look from this angle [degrees] from the vertical.")] = None,
-    ablation: Annotated[bool, typer.Option("--ablation", help="Pull with the controller's parts left out, too.")] = False,
-    pictures: Annotated[Path | None, typer.Option(help="Folder for pictures of the first seeds.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """How much of the cut is seen, and what is judged from it (paper, Evaluation of Exposure Maximization Control)."""
-    from supervisor.experiments.exposure import ExposureSettings, run_experiment, variants
-    from supervisor.experiments.exposure_summary import tables
-    from supervisor.plain import plain
-
-    settings = ExposureSettings(scene, trials, seed, ablation, tilt)
-    settings.load()
-    journal = (json_file or Path("exposure.json")).with_suffix(".trials.jsonl")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    console = Console()
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("pulls", total=trials * len(variants(ablation)))
-
-        def progress(run: dict[str, Any]) -> None:
-            bar.update(task, advance=1, description=f"pulls (seed {run['seed']}, {run['method'].replace('_', ' ')})")
-
-        try:
-            figures = run_experiment(settings, journal, workers, progress, pictures)
-        except KeyboardInterrupt:
-            console.print(f"Interrupted. The pulls that ended are in {journal}; the same command goes on after them.")
-            raise typer.Exit(3) from None
-    _write_json(json_file, plain(figures))
-    console.print(*tables(figures), f"{figures['wall_s']:.0f} s", sep="\n")
-
-
-@experiment.command()
-def detection(
-    cases: Annotated[int, typer.Option(min=1, help="Seeds; each is a tissue, a cut, an expert's pull and a disturbance.")] = 50,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first case; the others count up.")] = 0,
-    tracker: TrackerOption = "dis",
-    weights: WeightsOption = None,
-    device: Annotated[str, typer.Option(help="Where a learned tracker computes: cpu, or a GPU such as cuda:0.")] = "cpu",
-    compare: Annotated[
-        bool, typer.Option("--compare", help="Judge by lk, by dis chained and by the elongation rule, too.")
-    ] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Which edges are judged connected or severed, and how rightly (paper, Evaluation of Dissection Feedback)."""
-    from supervisor.experiments.detection import DetectionSettings, run_experiment, variants, write_rows
-    from supervisor.experiments.detection_summary import tables
-    from supervisor.plain import plain
-
-    settings = DetectionSettings(cases, seed, tracker, weights, device, compare)
-    result = json_file or Path("detection.json")
-    journal = result.with_suffix(".trials.jsonl")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    console = Console()
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("pulls", total=cases * len(variants(settings)))
-
-        def progress(run: dict[str, Any]) -> None:
-            bar.update(task, advance=1, description=f"pulls (seed {run['seed']}, {run['variant']})")
-
-        try:
-            figures, edges = run_experiment(settings, journal, workers, progress)
-        except KeyboardInterrupt:
-            console.print(f"Interrupted. The pulls that ended are in {journal}; the same command goes on after them.")
-            raise typer.Exit(3) from None
-    _write_json(json_file, plain(figures))
-    if json_file is not None:
-        write_rows(result.with_suffix(".edges.jsonl"), edges)
-    console.print(*tables(figures), f"{figures['wall_s']:.0f} s", sep="\n")
+app.command()(look)
+app.command()(deadman)
+app.command(name="serve-stub")(serve_stub)
 
 
 def main() -> None:
@@ -394,32 +196,12 @@ def main() -> None:
         sys.exit(2)
 
 
-def _robot_file(bench: BenchKind, config: Path | None) -> Path | None:
-    """The robot's configuration; None on the stub."""
-    if bench is BenchKind.STUB:
-        if config is not None:
-            raise InputError("--config is for a robot: give --bench dvrk too, or leave it out")
-        return None
-    if config is None:
-        raise InputError("--bench dvrk needs the robot's configuration: --config robot.toml (docs/robot.toml explains it)")
-    return config
-
-
 def _new_folder(scene: str, seed: int) -> Path:
     """A folder under sessions/ that is not there yet."""
     number = 1
     while (folder := SESSIONS / f"{scene}-seed{seed}-{number:03d}").exists():
         number += 1
     return folder
-
-
-def _write_json(path: Path | None, data: Any) -> None:
-    if path is None:
-        return
-    try:
-        path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from error
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from hardware.dvrk.config import RobotConfig, load_robot
 from hardware.dvrk.doctor import examine
 from hardware.dvrk.energy import OperatorEnergy
 from hardware.dvrk.transport import TransportError
+from hardware.interface import ArmState, OperatingState
 from skills.dissect.planning import BLADE
 from supervisor.doctor import Check
 from supervisor.skillset import SkillConfig
@@ -40,6 +41,33 @@ def connect(file: Path, ask: Callable[[str], str]) -> BenchDVRK:
         return BenchDVRK(config, transport, energy=OperatorEnergy(ask), wall=time.time())
     except TransportError as error:
         raise InputError(str(error)) from error
+
+
+def agree_to_power(bench: BenchDVRK, ask: Callable[[str], str]) -> None:
+    """Have a person agree before a session powers or homes anything; arms that are enabled and homed already need no word.
+
+    Raises:
+        InputError: the person did not; the bench is closed, and nothing was powered.
+    """
+    asleep = [arm.config.called for arm in bench.arms.values() if not _ready(arm.operating_state())]
+    if not asleep:
+        return
+    names = " and ".join(asleep)
+    question = f"The session will power and home {names}: what moves must be free. Power and home now? [y/N] "
+    try:
+        if ask(question).strip().lower() in ("y", "yes"):
+            return
+    except EOFError:
+        pass  # nobody is there
+    except BaseException:
+        bench.close()
+        raise
+    bench.close()
+    raise InputError(f"nothing was powered, as you did not agree; enable and home {names} at the console, or agree")
+
+
+def _ready(state: ArmState) -> bool:
+    return state.state is OperatingState.ENABLED and state.is_homed
 
 
 def stay_prompt() -> None:

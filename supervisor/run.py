@@ -190,7 +190,10 @@ def _setup(options: RunOptions, bench: StubBench | BenchDVRK, goal: Goal) -> Ses
     if isinstance(bench, StubBench):
         return SessionSetup(goal, options.seed, options.attempts, options.feedback, skills=skills)
     skills = fitted(skills, bench.config)
-    return SessionSetup(goal, options.seed, options.attempts, options.feedback, skills=skills, calibration=bench.calibration())
+    limits, calibration = bench.config.limits.limits(), bench.calibration()
+    return SessionSetup(
+        goal, options.seed, options.attempts, options.feedback, limits=limits, skills=skills, calibration=calibration
+    )
 
 
 def header(options: RunOptions, setup: SessionSetup, robot: BenchDVRK | None = None) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from hardware.codes import InputError
 from hardware.dvrk.choose_transport import make_transport
 from hardware.dvrk.transport import Clock, TransportError
 from hardware.served.node import ServedBench, Serving
-from hardware.served.site import ROBOT, write_site
+from hardware.served.site import ROBOT, SCISSORS, write_site
 from hardware.stub.bench import STEP, StubBench
 from hardware.stub.scene import Scene
 from skills.scene.goal import save_goal
@@ -33,7 +33,7 @@ LATE = 0.25  # [s] behind real time, from which on time is given up instead of m
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """What to serve: `folder` is where the files go, `pictures` how many pairs of images per second."""
+    """What to serve: `folder` is where the files go, `pictures` how many pairs of images per second, `cutter` what PSM2 holds."""
 
     scene: Scene
     seed: int
@@ -41,6 +41,7 @@ class ServeOptions:
     transport: str = "ros1"
     prefix: str = ""
     pictures: float = 10.0
+    cutter: str = SCISSORS
 
 
 def serve(options: ServeOptions, ready: Callable[[Path, Path], None]) -> None:
@@ -49,7 +50,7 @@ def serve(options: ServeOptions, ready: Callable[[Path, Path], None]) -> None:
     The last thing written, once nothing moves any more, is the truth about the tissue: truth.json.
 
     Raises:
-        InputError: the prefix is no namespace, there is no ROS, or its master does not answer.
+        InputError: the prefix is no namespace, the instrument is not known, there is no ROS, or its master does not answer.
     """
     stay_prompt()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -60,7 +61,7 @@ def serve(options: ServeOptions, ready: Callable[[Path, Path], None]) -> None:
         raise InputError(str(error)) from error
     try:
         bench = StubBench(options.scene, options.seed)
-        config = write_site(bench, options.folder, options.transport, options.prefix)
+        config = write_site(bench, options.folder, options.transport, options.prefix, options.cutter)
         save_goal(drawn_goal(bench), options.folder / GOAL)
         (options.folder / TRUTH).unlink(missing_ok=True)  # of another run
         served = ServedBench(bench, transport, config, Serving(pictures=options.pictures, threaded=True))

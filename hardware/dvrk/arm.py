@@ -14,7 +14,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,12 +22,14 @@ import numpy as np
 from hardware.codes import Code
 from hardware.dvrk import messages as m
 from hardware.dvrk import preconditions as must
+from hardware.dvrk.arm_guard import ArmGuard
 from hardware.dvrk.arm_readings import ArmReadings, ArmTopics, pose_of
 from hardware.dvrk.calibration import ArmFrames, as_matrix, as_pose, force_to_camera, to_base, to_camera
 from hardware.dvrk.config import ArmConfig, RobotConfig
 from hardware.dvrk.energy import Energy
 from hardware.dvrk.jaw import EnergyTip, Jaw
 from hardware.dvrk.moves import Move, refused
+from hardware.dvrk.obedience import Part
 from hardware.dvrk.reach import unreachable
 from hardware.dvrk.streaming import waypoints
 from hardware.dvrk.telemetry import Sample, TopicFigures
@@ -41,8 +43,8 @@ log = logging.getLogger(__name__)
 COMMANDS = ("enable", "disable", "home", "unhome", "pause", "resume")
 CHECKED_EVERY = 3e-3  # [m] along a line, where the arm's limits are asked for
 UNSEEN = 0.2  # [s] without a look of the monitor, after which nothing is known to be well
-REMEMBERED = 0.3  # [s] for which a refused setpoint keeps the arm from moving, so that whoever sent it notices
 LONGEST_STEP = 0.03  # [s]; a monitor that was late does not make up for it with a long step
+OWN_RULE = (Code.MOVE_REJECTED, Code.MOVE_TIMEOUT, Code.MOVE_NOT_REACHED)  # by which a motion fails while nothing else is wrong
 UNKNOWN = Pose(np.full(3, np.nan), np.full(4, np.nan))
 
 
@@ -74,7 +76,7 @@ class ArmDVRK:
         energy: Energy,
     ) -> None:
         self._role, self._config, self._arm, self._frames = role, config, arm, frames
-        self._transport, self._now, self._outside, self._opened = transport, now, outside, opened
+        self._transport, self._now, self._opened = transport, now, opened
         self._lock = threading.RLock()
         namespace = config.topic(arm.name)
         epoch = transport.clock() - now()
@@ -90,10 +92,8 @@ class ArmDVRK:
         )
         self._tip = TipStream(self._publish, config, arm.name)
         self._waiting: tuple[Callable[[Move], None], Move] | None = None  # of tip or jaw, until the other's motion is over
-        self._engaged = False
-        self._first_base: Array | None = None
-        self._latched: Verdict | None = None
-        self._refused: tuple[float, Verdict] = (-math.inf, must.FINE)
+        self._judge = ArmGuard(config, arm, self._topics, self._tip, self._jaw, self._setpoint, outside)
+        self._paused = False
         self._commanded_at = -math.inf
         self._ratio_sent = -math.inf
         unseen = Verdict(False, False, Code.ARM_NOT_READY, "the arm was not looked at yet")
@@ -115,12 +115,17 @@ class ArmDVRK:
         message = state.message
         named = message.state in OperatingState.__members__
         value = OperatingState(message.state) if named else OperatingState.DISABLED
-        busy = message.is_busy or self._busy_with_ours() or self._waiting is not None
-        return ArmState(value, message.is_homed and self._engaged, busy, state.received, self._error(known), self._guard(now))
+        busy = message.is_busy or self._busy_with_ours() or self._waiting is not None or not self._tip.sent.settled
+        return ArmState(
+            value, message.is_homed and self._judge.engaged, busy, state.received, self._error(known), self._guard(now)
+        )
 
     def state_command(self, command: str) -> None:
-        """Send one of enable, disable, home, unhome, pause, resume; any other changes nothing."""
+        """Send one of enable, disable, home, unhome, pause, resume; any other changes nothing. What enables a paused arm is `resume`."""
         if command in COMMANDS:
+            state = self._known.readings.state
+            if command == "enable" and state is not None and state.message.state == OperatingState.PAUSED:
+                command = "resume"
             self._commanded_at = self._now()
             self._command.publish(m.StringStamped(self._transport.stamp(), command))
 
@@ -130,7 +135,7 @@ class ArmDVRK:
 
     def setpoint_cp(self) -> Pose:
         """The robot's own setpoint, whoever set it."""
-        return self._stamped(self._topics.setpoint.sample()).value
+        return self._setpoint().value
 
     def measured_jaw(self) -> Stamped[float]:
         """Full opening of the jaws [rad]; the last commanded one of an instrument without a jaw."""
@@ -151,7 +156,7 @@ class ArmDVRK:
             if self._jaw.moving or self._waiting:
                 reason = f"the jaw of {self._arm.name} moves: the arm moves only while its jaw stands still"
             if reason:
-                self._refused = (now + REMEMBERED, Verdict(False, False, Code.MOVE_REJECTED, reason))
+                self._judge.refuse(reason, now)
                 return
             if not self._tip.moving:
                 self._commanded_at = now
@@ -182,20 +187,23 @@ class ArmDVRK:
             now = self._now()
             dt = min(max(now - self._known.at, 0.0), LONGEST_STEP)
             readings = self._topics.read()
-            guard = self._judge(readings, now)
+            self._keep_ratio(readings, now)
+            guard = self._judge.judge(readings, now, self._commanded_at)
             self._known = Known(readings, guard, now)
+            if guard.code is Code.FOREIGN_MOTION and self._opened():
+                self._fend_off(guard)
             if self._busy_with_ours() and (not guard.ok or not self._ready(readings)):
                 self._stop(*self._trouble(readings, guard))
                 return
-            if not self._jaw.step(readings, self._verdict_of(readings, guard), now):
-                self._stop(Code.MOVE_NOT_REACHED, "the motion was stopped by a hold")
+            if jaw := self._jaw.step(readings, self._verdict_of(readings, guard), now):
+                self._ended(Part.JAW, jaw.code, jaw.message, jaw.swallowed)
             if self._waiting and not self._busy_with_ours():
                 (start, move), self._waiting = self._waiting, None
                 start(move)
             measured = self.measured_cp()
-            if failure := self._tip.step(now, dt, self.setpoint_cp(), measured.value, measured.stamp):
+            if tip := self._tip.step(now, dt, self.setpoint_cp(), measured.value, measured.stamp):
                 said = self._topics.said_since(self._commanded_at)
-                self._stop(failure.code, f"{failure.message}: {said}" if said else failure.message)
+                self._ended(Part.TIP, tip.code, f"{tip.message}: {said}" if said else tip.message)
 
     def figures(self) -> list[TopicFigures]:
         """How the arm's periodic topics came in."""
@@ -220,6 +228,11 @@ class ArmDVRK:
         ]
 
     @property
+    def driven_by_others(self) -> bool:
+        """Whether somebody else was seen to drive the arm."""
+        return self._known.guard.code is Code.FOREIGN_MOTION
+
+    @property
     def readings(self) -> ArmReadings:
         """Everything the arm said last."""
         return self._topics.read()
@@ -231,66 +244,11 @@ class ArmDVRK:
 
     # ------------------------------------------------------------ what is wrong
 
-    def _judge(self, readings: ArmReadings, now: float) -> Verdict:
-        """All that must hold, in the order in which one explains another. What is latched stays."""
-        outside = self._outside()
-        if self._latched is not None:
-            return self._latched
-        state = readings.state
-        homed = state is not None and state.message.is_homed and state.message.state == OperatingState.ENABLED
-        data = must.data_fresh(readings, now, self._config.rates, self._arm.instrument.has_jaw)
-        self._engaged = homed and (self._engaged or (data.ok and readings.tool_type == self._arm.tool_type))
-        self._keep_ratio(readings, now)
-        if not homed:
-            self._not_ours()
-            return self._remember(outside)
-        if not self._engaged:
-            self._not_ours()
-            told = must.tool_as_told(readings, self._arm) if readings.tool_type else must.FINE
-            return self._remember(must.worst([outside, told]))
-        held = must.nobody_holds_it(readings, now, self._jaw.moving, self._commanded_at)
-        if not held.ok:
-            self._not_ours()
-        if self._first_base is None and data.ok:
-            self._first_base = readings.base
-        verdicts = [
-            must.tool_as_configured(readings, self._arm),
-            must.one_source(self._topics.sources()),
-            must.frame_as_configured(readings, self._arm),
-            must.base_still(readings.base, self._first_base, self._config.tolerances),
-            outside,
-            held,
-            data,
-            must.encoders_alive(readings, self._tip.sent_away(readings.joints.unchanged_since), now, self._config.rates),
-            must.slow_enough(readings, self._config.speeds.ratio),
-        ]
-        if held.ok and data.ok:
-            setpoint = self.setpoint_cp()
-            verdicts += [
-                must.tracks_setpoint(readings, self._config.tolerances),
-                must.setpoint_ours(setpoint, self._tip.ours(setpoint, now), self._config.tolerances),
-                must.jaw_ours(readings.jaw_setpoint, self._jaw.commanded(readings), self._config.tolerances),
-            ]
-        if now < self._refused[0]:
-            verdicts.append(self._refused[1])
-        return self._remember(must.worst(verdicts))
-
-    def _remember(self, verdict: Verdict) -> Verdict:
-        if not verdict.ok and verdict.latched:
-            self._latched = verdict
-            log.error("%s: %s", self._arm.name, verdict.message)
-        return verdict
-
     def _guard(self, now: float) -> Verdict:
         """The last look's verdict, if somebody still looks."""
         if now - self._known.at > UNSEEN:
             return Verdict(False, False, Code.ARM_DATA_STALE, "the driver's monitor does not look at the arm any more")
         return self._known.guard
-
-    def _not_ours(self) -> None:
-        """The arm may go where it wants until it is ours again."""
-        self._tip.forget()
-        self._jaw.forget()
 
     def _keep_ratio(self, readings: ArmReadings, now: float) -> None:
         """Ask for the configured ratio, once a second until the robot says so; not before a session begins."""
@@ -302,7 +260,7 @@ class ArmDVRK:
 
     def _ready(self, readings: ArmReadings) -> bool:
         state = readings.state
-        return state is not None and state.message.state == OperatingState.ENABLED and self._engaged
+        return state is not None and state.message.state == OperatingState.ENABLED and self._judge.engaged
 
     def _trouble(self, readings: ArmReadings, guard: Verdict) -> tuple[Code, str]:
         """Code and sentence of what ends a motion."""
@@ -324,7 +282,7 @@ class ArmDVRK:
         if state is not None and state.message.state == OperatingState.FAULT:
             newest = self._topics.error.newest()
             return "" if newest is None else newest.message.data
-        if state is not None and state.message.is_homed and not self._engaged:
+        if state is not None and state.message.is_homed and not self._judge.engaged:
             data = must.data_fresh(known.readings, self._now(), self._config.rates, self._arm.instrument.has_jaw)
             return must.worst([must.tool_as_configured(known.readings, self._arm), data]).message
         return ""
@@ -383,6 +341,24 @@ class ArmDVRK:
         goal = as_pose(base @ as_matrix(to_base(self._frames, pose)))
         self._servo.publish(m.PoseStamped(self._transport.stamp(), self._arm.frame_id, goal.position, goal.quaternion))
 
+    def _ended(self, part: Part, code: Code, message: str, swallowed: bool = False) -> None:
+        """A motion came to its end. One that failed by its own rule is a hold, and stands in the way until the arm was quiet."""
+        if code is Code.OK:
+            self._judge.obedience.obeyed(part)
+            return
+        self._stop(code, message)
+        if code in OWN_RULE:
+            self._judge.obedience.failed(part, code, message, swallowed)
+            self._known = replace(self._known, guard=Verdict(False, False, code, message))  # until the next look
+
+    def _fend_off(self, guard: Verdict) -> None:
+        """Somebody else drives the arm. A hold does not keep it from the next command of theirs; a paused arm takes none (6.1)."""
+        if self._paused:
+            return
+        self._paused = True
+        self._stop(guard.code, guard.message)
+        self._command.publish(m.StringStamped(self._transport.stamp(), "pause"))
+
     def _stop(self, code: Code, message: str) -> None:
         """Hold first, tell after."""
         try:
@@ -391,8 +367,10 @@ class ArmDVRK:
             self._tip.stop(code, message)
             self._jaw.stop(code, message)
             self._forget_waiting(code, message)
-            self._tip.held(self._now())
             self._commanded_at = self._now()
+
+    def _setpoint(self) -> Stamped[Pose]:
+        return self._stamped(self._topics.setpoint.sample())
 
     def _stamped(self, sample: Sample[m.PoseStamped]) -> Stamped[Pose]:
         if sample.good is None:

@@ -35,7 +35,7 @@ from hardware.verdicts import Verdict
 
 log = logging.getLogger(__name__)
 
-SURVEY_EVERY = 2.0  # [s] between questions to the master about who else commands the arms
+SURVEY_EVERY = 0.5  # [s] between questions to the master about who else commands the arms
 ASK_AGAIN = 0.1  # [s] between two looks at what is missing
 PARTING = 0.1  # [s] for the last hold to arrive before the heart stops
 NOT_OPEN = Verdict(False, False, Code.ARM_NOT_READY, "no session has begun: the bench is not open")
@@ -71,6 +71,7 @@ class BenchDVRK:
         self._beats = False  # from the moment that a session is to begin
         self._armed = False  # the deadman was asked to watch
         self._opened = False
+        self._asked_to_hold = False
         self._closing = threading.Event()
         self._observers: list[Callable[[], None]] = []
         self._looks, self._last_look, self._longest_look, self._late = 0, math.nan, 0.0, 0
@@ -127,8 +128,9 @@ class BenchDVRK:
         self._observers.append(callback)
 
     def emergency_stop(self) -> bool:
-        """Whether the configured stop button is pressed; opening the robot's own chain shows as a fault of the arms."""
-        return self._console.stop_pressed()
+        """Whether the configured stop button is pressed, or the robot's own chain was opened: then all arms lose their power at once."""
+        states = [arm.operating_state() for arm in self._arms.values()]
+        return self._console.stop_pressed() or must.chain_open([(state.state, state.error) for state in states])
 
     def close(self) -> None:
         """Hold both arms, tell the deadman that all is over, and leave the graph. What was received can still be read.
@@ -201,6 +203,7 @@ class BenchDVRK:
             self._deadman_has_arms() if self.deadman else must.FINE,
             *(must.one_source(arm.sources()) for arm in self._arms.values()),
             self._console.verdict(),
+            self._sight(),
             self._strangers(),
         ]
         if self._console.stop_pressed():
@@ -221,6 +224,7 @@ class BenchDVRK:
                 must.deadman_watches(self._heartbeat.what_is_wrong()) if self._opened else NOT_OPEN,
                 self._elsewhere,
                 self._console.verdict(),
+                self._sight(),
             ]
         )
         try:
@@ -230,6 +234,9 @@ class BenchDVRK:
             # The gate looks even where an arm cannot be reached, and holds the other one.
             for callback in tuple(self._observers):
                 callback()
+        if self._opened and not self._asked_to_hold and any(arm.driven_by_others for arm in self._arms.values()):
+            self._asked_to_hold = True
+            self._heartbeat.hold()  # again and again, whatever becomes of us
         if not self._threaded and now >= self._surveyed + SURVEY_EVERY:
             self._surveyed = now
             self._elsewhere = self._strangers()
@@ -291,6 +298,9 @@ class BenchDVRK:
             subscription.close()
             pose = matrix(found[-1]) if found and found[-1].stamp > 0 else None
         return load_hand_eye(arm.calibration, arm.name, arm.calibration_axes, pose, topic)
+
+    def _sight(self) -> Verdict:
+        return must.sees_as_calibrated(self._endoscope.changed(), self._endoscope.apart(), self._config.camera.max_skew)
 
     def _outside(self) -> Verdict:
         return self._around

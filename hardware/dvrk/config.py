@@ -10,15 +10,17 @@ import difflib
 import math
 import re
 import tomllib
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from hardware.codes import InputError
 from hardware.dvrk.instruments import Instrument, instrument
+from hardware.limits import Limits
 
 C = TypeVar("C")
 TRANSPORTS = ("ros1", "ros2")
+FARTHEST = 0.3  # [m], of the workspace from the camera
 AXES = ("", "open-cv", "dvrk")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 
@@ -49,7 +51,7 @@ class _Checked:
 class ArmConfig(_Checked):
     """One arm, and the instrument that it is expected to hold.
 
-    `name` is what CRTK calls the arm; what it does in the session follows from the table it stands in (grasper or cutter).
+    `name` is what CRTK calls the arm; what it does in the session, its `role`, follows from the table it stands in (grasper or cutter).
     `tip_rotation` turns the dVRK's tip frame into our tool frame: see `hardware.dvrk.calibration`.
     """
 
@@ -63,6 +65,7 @@ class ArmConfig(_Checked):
     tip_rotation: tuple[float, ...] = (0.0, 0.0, math.pi / 2)  # [rad], rotation vector
     jaw_zero: float = _within(0.0, -0.35, 0.35)  # [rad], what the robot measures where the jaws just meet
     jaw_closed: float = _within(-0.35, -0.7, 0.0)  # [rad], what to command for a firm closing: below jaw_zero is torque
+    role: str = field(default="", metadata={"told": True})  # no key of the file
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -78,6 +81,11 @@ class ArmConfig(_Checked):
                 f"jaw_closed is {self.jaw_closed}; it must lie from {tool.jaw_lower:.3f}, the limit of {tool.name}, "
                 f"to jaw_zero, {self.jaw_zero}"
             )
+
+    @property
+    def called(self) -> str:
+        """What people are told of: what the arm does and what CRTK calls it, such as "grasper (PSM1)"."""
+        return f"{self.role} ({self.name})" if self.role else self.name
 
     @property
     def instrument(self) -> Instrument:
@@ -158,6 +166,43 @@ class RateConfig(_Checked):
             raise InputError(f"frozen is {self.frozen}; it must be longer than stale, {self.stale}")
 
 
+def _limit(name: str, low: float, high: float) -> Any:
+    """One of the gate's limits: a number from `low` to `high`, the gate's own where it is left out."""
+    return _within(getattr(Limits, name), low, high)
+
+
+@dataclass(frozen=True)
+class LimitsConfig(_Checked):
+    """Those limits of the safety gate that are a matter of the table and the phantom; see `hardware.limits`."""
+
+    # Box that the tool tips may not leave [m], left camera frame
+    workspace_lower: tuple[float, ...] = Limits.workspace_lower
+    workspace_upper: tuple[float, ...] = Limits.workspace_upper
+    max_speed: float = _limit("max_speed", 1e-3, 20e-3)  # [m/s], near tissue
+    max_loaded_speed: float = _limit("max_loaded_speed", 0.5e-3, 10e-3)  # [m/s], with tissue in the grasp under load
+    min_tool_distance: float = _limit("min_tool_distance", 1e-3, 20e-3)  # [m]
+    # By motor currents: guards against the worst, no measurement
+    tension_warn: float = _limit("tension_warn", 0.1, 10.0)  # [N]
+    tension_stop: float = _limit("tension_stop", 0.1, 10.0)  # [N], pulling further is refused
+    tension_abort: float = _limit("tension_abort", 0.1, 12.0)  # [N], trips
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("workspace_lower", "workspace_upper"):
+            box = getattr(self, name)
+            if len(box) != 3 or not all(abs(side) <= FARTHEST for side in box):
+                raise InputError(f"{name} is {list(box)}; it must be three numbers [m], none beyond {FARTHEST:g}")
+        self.limits()
+
+    def limits(self) -> Limits:
+        """All limits of the gate, with these among them.
+
+        Raises:
+            InputError: two of them contradict each other.
+        """
+        return Limits(**{item.name: getattr(self, item.name) for item in fields(self)})
+
+
 @dataclass(frozen=True)
 class RobotConfig(_Checked):
     """One robot: two arms, a stereo endoscope, and the graph on which they are found.
@@ -175,9 +220,12 @@ class RobotConfig(_Checked):
     tolerances: ToleranceConfig = field(default_factory=ToleranceConfig)
     speeds: SpeedConfig = field(default_factory=SpeedConfig)
     rates: RateConfig = field(default_factory=RateConfig)
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for role in ("grasper", "cutter"):
+            object.__setattr__(self, role, replace(getattr(self, role), role=role))
         if self.transport not in TRANSPORTS:
             raise InputError(f"transport is {self.transport!r}; it must be one of {', '.join(TRANSPORTS)}")
         if self.prefix and not (self.prefix[0] == "/" and NAME.fullmatch(self.prefix[1:])):
@@ -216,7 +264,7 @@ def load_robot(path: Path) -> RobotConfig:
 def _from_table(kind: type[C], table: dict[str, Any], where: str, folder: Path) -> C:
     """A frozen dataclass from a TOML table."""
     hints = get_type_hints(kind)
-    known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    known = {item.name: item for item in fields(kind) if not item.metadata.get("told")}  # type: ignore[arg-type]
     for key in table.keys() - known.keys():
         near = difflib.get_close_matches(key, known, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(known)}"

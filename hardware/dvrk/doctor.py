@@ -47,19 +47,19 @@ def _state(arm: ArmDVRK) -> Finding:
     state = arm.readings.state
     if state is None:
         return Finding(
-            f"{arm.config.name} state", False, "not told", "Start the robot's node, or correct the arm's name or the prefix."
+            f"{arm.config.called} state", False, "not told", "Start the robot's node, or correct the arm's name or the prefix."
         )
     message = state.message
     said = f"{message.state.lower()}, {'homed' if message.is_homed else 'not homed'}{', busy' if message.is_busy else ''}"
     # A session enables and homes by itself.
     return Finding(
-        f"{arm.config.name} state", message.state != "FAULT", said, "" if message.state != "FAULT" else "Clear the fault."
+        f"{arm.config.called} state", message.state != "FAULT", said, "" if message.state != "FAULT" else "Clear the fault."
     )
 
 
 def _instrument(arm: ArmDVRK) -> Finding:
     found, expected = arm.readings.tool_type, arm.config.tool_type
-    name = f"{arm.config.name} instrument"
+    name = f"{arm.config.called} instrument"
     if found == expected:
         return Finding(name, True, found)
     if not found:
@@ -68,7 +68,7 @@ def _instrument(arm: ArmDVRK) -> Finding:
 
 
 def _frame(arm: ArmDVRK) -> Finding:
-    good, name = arm.readings.cp.good, f"{arm.config.name} frame"
+    good, name = arm.readings.cp.good, f"{arm.config.called} frame"
     if good is None:
         return Finding(
             name, False, "no valid pose yet", "The robot tells one once it is enabled, homed, and holds a tool.", required=False
@@ -90,7 +90,7 @@ def _rates(arm: ArmDVRK) -> Finding:
     )
     ok = slowest.rate >= RATE
     return Finding(
-        f"{arm.config.name} data",
+        f"{arm.config.called} data",
         ok,
         said,
         "" if ok else f"{slowest.topic} should come with {RATE:.0f} Hz or more.",

@@ -27,6 +27,7 @@ from hardware.interface import Array, CameraModel, Frame, Image, StereoFrame
 EYES = ("left", "right")
 WAITING = 6  # images of one eye that wait for their partner
 SQUARE = 0.01  # by how much fx and fy may differ, as a share
+SOME = 9  # images of one eye by which its delay is judged
 ROWS = 0.5  # [px] by which the eyes' principal points may differ in v
 
 
@@ -50,6 +51,8 @@ class EndoscopeDVRK:
         self._pair: Pair | None = None
         self._unpaired = 0
         self._unfit = {eye: "" for eye in EYES}
+        self._delays: dict[str, deque[float]] = {eye: deque(maxlen=SOME) for eye in EYES}  # [s], of receipt to stamp
+        self._used: dict[str, CameraInfo] = {}  # what the model was made of
         self._shown: tuple[int, dict[str, Image]] = (-1, {})
         self._model: CameraModel | None = None
         self._maps: dict[str, tuple[Array, Array]] = {}
@@ -70,6 +73,7 @@ class EndoscopeDVRK:
             model = camera_model(left, right)
             if not self._config.rectified:
                 self._maps = {"left": rectification(left), "right": rectification(right)}
+            self._used = {"left": left, "right": right}
             self._model = model  # last: another thread that finds it finds the maps too
         return self._model
 
@@ -97,6 +101,24 @@ class EndoscopeDVRK:
         """Why images are not used: their size is not that of the calibration. One sentence for each such eye."""
         return [said for said in self._unfit.values() if said]
 
+    def changed(self) -> str:
+        """Why what the cameras say of their calibration is not what this session sees by; "" while it is, and before the first look."""
+        for eye, used in self._used.items():
+            good = self._infos[eye].sample().good
+            if good is None or good.message is used or _same_calibration(good.message, used):
+                continue
+            zero = not good.message.K.any()
+            return f"the {eye} camera's calibration {'is gone (its K is zero)' if zero else 'is another one'} since the session began"
+        return ""
+
+    def apart(self) -> float:
+        """By how much [s] the eyes' stamps differ where their images arrive together: then they are paired with the wrong ones."""
+        with self._lock:
+            delays = [list(self._delays[eye]) for eye in EYES]
+        if min(map(len, delays)) < SOME:
+            return 0.0
+        return abs(float(np.median(delays[0])) - float(np.median(delays[1])))
+
     def figures(self) -> list[TopicFigures]:
         """How the images came in."""
         return [stream.figures() for stream in self._images.values()]
@@ -117,6 +139,8 @@ class EndoscopeDVRK:
 
     def _take(self, eye: str, picture: Received[Picture]) -> None:
         """Pair an image with the other eye's nearest one; only what fits the calibration is a picture of anything."""
+        with self._lock:
+            self._delays[eye].append(picture.received - picture.message.stamp)
         try:
             model = self.camera
         except InputError:
@@ -221,6 +245,12 @@ def camera_model(left: CameraInfo, right: CameraInfo) -> CameraModel:
             f"the baseline by the right camera's P is {baseline * 1e3:.2f} mm; a stereo endoscope's lies from 1 to 50 mm"
         )
     return CameraModel(left.width, left.height, focal, cu, cv, baseline)
+
+
+def _same_calibration(a: CameraInfo, b: CameraInfo) -> bool:
+    return (a.width, a.height) == (b.width, b.height) and all(
+        np.array_equal(getattr(a, name), getattr(b, name)) for name in ("D", "K", "R", "P")
+    )
 
 
 def rectification(info: CameraInfo) -> tuple[Array, Array]:

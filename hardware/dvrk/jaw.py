@@ -8,6 +8,7 @@ Not thread-safe: the arm calls it under its lock.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from hardware.dvrk.arm_readings import ArmReadings, ArmTopics
 from hardware.dvrk.config import ArmConfig, RobotConfig
 from hardware.dvrk.energy import Application, Energy
 from hardware.dvrk.messages import JointState
-from hardware.dvrk.motion import Look, Motion, begin, follow
+from hardware.dvrk.motion import Look, Motion, Phase, begin, follow
 from hardware.dvrk.moves import Move
 from hardware.dvrk.transport import Publisher
 from hardware.interface import MoveStatus
@@ -26,6 +27,15 @@ FASTEST, QUICKEST = 6.0 * math.pi, 4.0 * math.pi  # [rad/s], [rad/s²] of the ja
 BLOCKED = 0.20  # [rad]; a grasper that tissue keeps further open than this has not closed on it
 OBEYED = 0.02  # [rad] that the jaw's setpoint may be from what was sent: some releases clip it to wrong limits
 ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a motion of the jaw ended; `swallowed`: the robot never began it."""
+
+    code: Code
+    message: str = ""
+    swallowed: bool = False
 
 
 class Jaw:
@@ -77,10 +87,10 @@ class Jaw:
         self._commanded = None
         self._publisher.publish(JointState(stamp, ("jaw",), np.array([goal])))
 
-    def step(self, readings: ArmReadings, guard: Verdict, now: float) -> bool:
-        """Look at the motion under way; gives False when it has failed and the arm is to be told to hold."""
+    def step(self, readings: ArmReadings, guard: Verdict, now: float) -> Ended | None:
+        """Look at the motion under way; gives how it ended. Where it failed, the arm is to be told to hold."""
         if self._motion is None or readings.jaw.good is None or readings.jaw_setpoint.good is None:
-            return True
+            return None
         motion, move, goal = self._motion
         measured = float(readings.jaw.good.message.position[0])
         told = float(readings.jaw_setpoint.good.message.position[0])
@@ -101,18 +111,18 @@ class Jaw:
         motion = follow(motion, look, name, self._config.rates.busy_within, self._config.tolerances.samples)
         self._motion = (motion, move, goal)
         if motion.report.status is MoveStatus.RUNNING:
-            return True
+            return None
         self._motion = None
         if motion.report.status is MoveStatus.DONE:
             self._commanded = goal
             move.end(Code.OK)
-            return True
+            return Ended(Code.OK)
         code, message = motion.report.code, motion.report.message
         if code is Code.MOVE_NOT_REACHED:
             said = f"it stands at {math.degrees(measured):.0f} degrees, its setpoint at {math.degrees(told):.0f}"
             message = f"{message}; {said} where {math.degrees(goal):.0f} were sent"
         move.end(code, message)
-        return False
+        return Ended(code, message, swallowed=motion.phase is Phase.SENT and code is Code.MOVE_REJECTED)
 
     def stop(self, code: Code, message: str) -> None:
         """The motion under way is over; the jaw stays where it is."""
@@ -125,9 +135,18 @@ class Jaw:
         """Where the jaw should be is not known: the arm was not ours for a while."""
         self._commanded = None
 
+    def unrest(self, readings: ArmReadings) -> str:
+        """Why the jaw at rest is not where the robot wants it, "" where it is."""
+        if readings.jaw.good is None or readings.jaw_setpoint.good is None:
+            return f"the jaw of {self._arm.name} does not say where it is"
+        measured, told = (float(one.good.message.position[0]) for one in (readings.jaw, readings.jaw_setpoint) if one.good)
+        if self._near(measured, told):
+            return ""
+        return f"the jaw of {self._arm.name} stands at {math.degrees(measured):.0f} degrees, its setpoint at {math.degrees(told):.0f}"
+
     def _near(self, measured: float, goal: float) -> bool:
         """Whether the jaw is where it was sent; a closing is over where the jaws meet, or the tissue between them."""
-        if goal > self._arm.jaw_closed + ROUNDING:
+        if goal > self._arm.jaw_zero:
             return abs(measured - goal) <= self._config.tolerances.jaw
         return measured - self._arm.jaw_zero <= (BLOCKED if self._grasps else self._config.tolerances.jaw)
 
@@ -165,23 +184,23 @@ class EnergyTip:
         else:
             move.end(Code.OK)
 
-    def step(self, readings: ArmReadings, guard: Verdict, now: float) -> bool:
-        """Look for the answer."""
+    def step(self, readings: ArmReadings, guard: Verdict, now: float) -> Ended | None:
+        """Look for the answer; that nobody applied energy is no fault of the robot."""
         if self._asked is None:
-            return True
+            return None
         application, move = self._asked
         if not guard.ok:
             self.stop(guard.code, guard.message)
-            return False
+            return Ended(guard.code, guard.message)
         applied = application.applied()
         if applied is None:
-            return True
+            return None
         self._asked = None
         if applied:
             move.end(Code.OK)
         else:
             move.end(Code.MOVE_NOT_REACHED, f"no energy was applied at {self._arm.name}")
-        return True
+        return Ended(Code.OK)
 
     def stop(self, code: Code, message: str) -> None:
         """A late answer will not count."""
@@ -191,6 +210,10 @@ class EnergyTip:
 
     def forget(self) -> None:
         """Nothing to forget."""
+
+    def unrest(self, readings: ArmReadings) -> str:
+        """There is no jaw that could be elsewhere."""
+        return ""
 
 
 def _duration(way: float, ratio: float) -> float:

@@ -27,6 +27,11 @@ SHAFT = 0.4162  # [m], from frame 3 to the wrist-pitch axis (frame 4)
 KEEP_DEPTH = 0.045  # [m], of frame 4 beyond the RCM: the arm pushes any shallower Cartesian goal to here
 ENTER_DEPTH = 0.043  # [m], the arm takes no Cartesian command while it stands shallower than this
 NEAR_RCM = 1e-3  # [m], the arm's own inverse kinematics fails nearer to the RCM
+# Denavit-Hartenberg parameters of yaw, pitch, insertion, roll, wrist pitch and wrist yaw; a is 0 but for the last, the instrument's
+SIN_ALPHA = np.array([1.0, -1.0, 1.0, 0.0, -1.0, -1.0])
+COS_ALPHA = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+THETA = np.array([1.0, -1.0, 0.0, 0.0, -1.0, -1.0]) * (math.pi / 2)  # [rad]
+D = np.array([0.0, 0.0, RCM_TO_SHAFT, SHAFT, 0.0, 0.0])  # [m]
 FOLDED = 1e-3  # sine of the angle at which the wrist-yaw axis points to the RCM, and roll is no longer determined
 RIGID = 1e-6  # how far a rotation matrix may be from orthonormal
 MARGIN = np.array([1e-3, 1e-3, 1e-4, 1e-3, 1e-3, 1e-3])  # [rad, m], kept from limits: our joints and the arm's differ in rounding
@@ -56,22 +61,27 @@ class Solution:
 def frames(instrument: Instrument, q: Array) -> Array:
     """Poses (n + 1, 4, 4) of the base and of the first n Denavit-Hartenberg frames for joints `q` (n,), n at most 6.
 
-    Modified convention (Craig), parameters of share/kinematic/PSM.json: reference/dvrk.md section 5.
+    Modified convention (Craig), parameters of share/kinematic/PSM.json: reference/dvrk.md section 5. Each frame is
+    RotX(alpha) TransX(a) RotZ(theta) TransZ(d) of the one before.
     """
-    quarter = math.pi / 2
-    rows = (  # alpha, a, theta, d
-        (quarter, 0.0, quarter, 0.0),
-        (-quarter, 0.0, -quarter, 0.0),
-        (quarter, 0.0, 0.0, RCM_TO_SHAFT),
-        (0.0, 0.0, 0.0, SHAFT),
-        (-quarter, 0.0, -quarter, 0.0),
-        (-quarter, instrument.a6, -quarter, 0.0),
-    )
-    poses = [np.eye(4)]
-    for joint, (value, (alpha, a, theta, d)) in enumerate(zip(np.asarray(q, dtype=np.float64), rows, strict=False)):
-        turn, reach = (theta, d + value) if joint == INSERTION else (theta + value, d)
-        poses.append(poses[-1] @ _link(alpha, a, turn, reach))
-    return np.stack(poses)
+    q = np.asarray(q, dtype=np.float64)
+    count = len(q)
+    theta, d = THETA[:count] + q, D[:count].copy()
+    if count > INSERTION:
+        theta[INSERTION], d[INSERTION] = THETA[INSERTION], D[INSERTION] + q[INSERTION]
+    cos, sin, ca, sa = np.cos(theta), np.sin(theta), COS_ALPHA[:count], SIN_ALPHA[:count]
+    links = np.zeros((count, 4, 4))
+    links[:, 0, 0], links[:, 0, 1] = cos, -sin
+    links[:, 1, 0], links[:, 1, 1], links[:, 1, 2], links[:, 1, 3] = ca * sin, ca * cos, -sa, -sa * d
+    links[:, 2, 0], links[:, 2, 1], links[:, 2, 2], links[:, 2, 3] = sa * sin, sa * cos, ca, ca * d
+    links[:, 3, 3] = 1.0
+    if count == len(JOINTS):
+        links[-1, 0, 3] = instrument.a6
+    poses = np.empty((count + 1, 4, 4))
+    poses[0] = np.eye(4)
+    for joint in range(count):
+        np.matmul(poses[joint], links[joint], out=poses[joint + 1])
+    return poses
 
 
 def forward(instrument: Instrument, q: Array) -> Array:
@@ -123,8 +133,8 @@ def inverse(instrument: Instrument, pose: Array, near: Array) -> Solution:
         return _unsolvable(fault)
     last = np.asarray(pose, dtype=np.float64) @ TIP.T  # the Denavit-Hartenberg frame 6; TIP has no translation
     x6, z6, p6 = last[:3, 0], last[:3, 2], last[:3, 3]
-    normal = np.cross(p6, z6)
-    distance, size = float(np.linalg.norm(p6)), float(np.linalg.norm(normal))
+    normal = _cross(p6, z6)
+    distance, size = math.sqrt(p6 @ p6), math.sqrt(normal @ normal)
     if distance < NEAR_RCM:
         return _unsolvable(f"the pose lies {distance * 1e3:.1f} mm from the remote centre, where the arm cannot turn to it")
     if size < FOLDED * distance:
@@ -145,52 +155,50 @@ def clipped_by(instrument: Instrument, q: Array) -> Array:
     return cut
 
 
-def check_pose(instrument: Instrument, pose: Array, near: Array) -> str:
-    """Why the arm, standing at joints `near` (6,), would not go to exactly `pose` (4, 4): one sentence, empty if it would."""
+def reached(instrument: Instrument, pose: Array, near: Array) -> Solution:
+    """Where the arm, standing at joints `near` (6,), would go when sent to `pose` (4, 4); FINE if it would go to exactly there."""
     near = _six(near)
     if not np.isfinite(near).all():
-        return "the joints where the arm stands are not known"
+        return _unsolvable("the joints where the arm stands are not known")
     if (standing := depth(near)) < ENTER_DEPTH:
-        return (
+        return _unsolvable(
             f"the arm stands {standing * 1e3:.1f} mm beyond its remote centre; "
             f"insert the instrument to at least {KEEP_DEPTH * 1e3:.0f} mm before any Cartesian motion"
         )
     solution = inverse(instrument, pose, near)
     if solution.reach is not Reach.FINE:
-        return solution.reason
-    return _judge(instrument, solution.q, MARGIN)[1]
+        return solution
+    return Solution(solution.q, *_judge(instrument, solution.q, MARGIN))
+
+
+def check_pose(instrument: Instrument, pose: Array, near: Array) -> str:
+    """Why the arm, standing at joints `near` (6,), would not go to exactly `pose` (4, 4): one sentence, empty if it would."""
+    return reached(instrument, pose, near).reason
 
 
 # ------------------------------------------------------------ pieces
 
 
-def _link(alpha: float, a: float, theta: float, d: float) -> Array:
-    """RotX(alpha) TransX(a) RotZ(theta) TransZ(d)."""
-    ca, sa, ct, st = math.cos(alpha), math.sin(alpha), math.cos(theta), math.sin(theta)
-    return np.array(
-        [
-            [ct, -st, 0.0, a],
-            [ca * st, ca * ct, -sa, -sa * d],
-            [sa * st, sa * ct, ca, ca * d],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+def _cross(a: Array, b: Array) -> Array:
+    """The cross product of two vectors (3,); NumPy's own takes ten times as long for so few numbers."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _joints(instrument: Instrument, x6: Array, z6: Array, p6: Array, z5: Array) -> Array:
     """The joints (6,) for one sign of the wrist-pitch axis; NaN when the shaft would have no direction."""
-    x5 = np.cross(z6, z5)  # y5 is z6
+    x5 = _cross(z6, z5)  # y5 is z6
     p4 = p6 - instrument.a6 * x5
-    reach = float(np.linalg.norm(p4))
+    reach = math.sqrt(p4 @ p4)
     if reach < NEAR_RCM:
         return np.array([math.nan, math.nan, math.nan, math.nan, math.inf, math.nan])
     z4 = p4 / reach  # (sin yaw cos pitch, -sin pitch, -cos yaw cos pitch)
     yaw, pitch = math.atan2(z4[0], -z4[2]), math.atan2(-z4[1], math.hypot(z4[0], z4[2]))
     # Axes of frame 3, which has no roll yet, from yaw and pitch alone
     y3 = np.array([-math.cos(yaw), 0.0, -math.sin(yaw)])
-    x3 = np.cross(y3, z4)
+    x3 = _cross(y3, z4)
     roll = math.atan2(-z5 @ x3, z5 @ y3)  # z5 is y4
-    x4 = np.cross(z5, z4)
+    x4 = _cross(z5, z4)
     wrist_pitch = math.atan2(x5 @ x4, x5 @ z4)
     wrist_yaw = math.atan2(x6 @ x5, x6 @ z5)
     return np.array([yaw, pitch, insertion(reach), roll, wrist_pitch, wrist_yaw])

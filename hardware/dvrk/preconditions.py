@@ -18,11 +18,15 @@ from hardware.dvrk.arm_readings import ArmReadings
 from hardware.dvrk.config import ArmConfig, RateConfig, RobotConfig, ToleranceConfig
 from hardware.dvrk.messages import JointState, Joy
 from hardware.dvrk.telemetry import Received, Sample
-from hardware.interface import Array, Pose
+from hardware.interface import Array, OperatingState
 from hardware.verdicts import Verdict
 
 FINE = Verdict(True)
 RATIO_ROUNDING = 1e-6
+FROZEN_WITHIN = 0.08  # [s] in which numbers that cannot stand still are called frozen
+TELLING = 2e-3  # [rad, m] by which an arm should have moved by the speed it tells
+ZERO = np.zeros(1)
+LEAST_TURN = 1e-6  # [rad]; an arc cosine near 1 is no finer
 BUSY_GRACE = 0.5  # [s] after a command of ours in which a busy arm is nobody else's doing
 MOVING_TOPICS = (
     "servo_jp",
@@ -69,16 +73,28 @@ def data_fresh(readings: ArmReadings, now: float, rates: RateConfig, with_jaw: b
     return FINE
 
 
-def encoders_alive(readings: ArmReadings, sent_away: float, now: float, rates: RateConfig) -> Verdict:
-    """The very same positions, speeds and currents for long come from no arm that was sent elsewhere, at `sent_away` [s], however fresh.
+def encoders_alive(readings: ArmReadings, sent_away: float, now: float, rates: RateConfig, with_jaw: bool) -> Verdict:
+    """The very same numbers, however fresh, come from no live arm: where they never stood still before, or tell of a speed.
 
-    Of an arm at rest nothing is concluded: a simulated one has no noise.
+    Nor do they for long where the arm was sent elsewhere, at `sent_away` [s]. Of an arm at rest without noise nothing is concluded: a
+    simulated one has none.
     """
     since = readings.joints.unchanged_since
-    if not since < sent_away < now - rates.frozen:
-        return FINE
-    said = f"measured_js has told the very same numbers for {now - since:.1f} s though the arm was sent elsewhere: it is frozen"
-    return _wait(Code.ARM_DATA_STALE, said)
+    if since < sent_away < now - rates.frozen:
+        said = (
+            f"measured_js has told the very same numbers for {now - since:.1f} s though the arm was sent elsewhere: it is frozen"
+        )
+        return _wait(Code.ARM_DATA_STALE, said)
+    for name, sample in readings.streams(with_jaw).items():
+        if sample.good is None or not now - sample.unchanged_since > FROZEN_WITHIN:
+            continue
+        still = sample.good.received - sample.unchanged_since  # silence is no repetition
+        way = still * float(np.max(np.abs(getattr(sample.good.message, "velocity", ZERO)), initial=0.0))
+        if still > FROZEN_WITHIN and (sample.noisy or way > TELLING):
+            told = "though it never did so before" if sample.noisy else "and a speed with them"
+            said = f"{name} has told the very same numbers for {still * 1e3:.0f} ms, {told}: it is frozen"
+            return _wait(Code.ARM_DATA_STALE, said)
+    return FINE
 
 
 def tracks_setpoint(readings: ArmReadings, tolerances: ToleranceConfig) -> Verdict:
@@ -97,6 +113,14 @@ def tracks_setpoint(readings: ArmReadings, tolerances: ToleranceConfig) -> Verdi
             Code.ARM_FAULT, f"the tip is turned {math.degrees(angle):.0f} degrees from its setpoint; {limit:.0f} are allowed"
         )
     return FINE
+
+
+def stands_beside(readings: ArmReadings, tolerances: ToleranceConfig, name: str) -> str:
+    """Why an arm at rest does not stand where it is told to be, "" where it does."""
+    if readings.local.good is None or readings.setpoint.good is None:
+        return f"{name} does not say where it is"
+    error = float(np.linalg.norm(readings.local.good.message.position - readings.setpoint.good.message.position))
+    return "" if error <= tolerances.position else f"{name} stands {error * 1e3:.1f} mm beside its setpoint"
 
 
 # ------------------------------------------------------------ what was mounted and calibrated
@@ -134,8 +158,7 @@ def base_still(
     """A frame (4, 4) that the calibration rests on is where it was; it moves with set-up joints and endoscope."""
     if base is None or first is None:
         return FINE
-    shift = float(np.linalg.norm(base[:3, 3] - first[:3, 3]))
-    turn = math.acos(min(max((float(np.trace(base[:3, :3].T @ first[:3, :3])) - 1.0) / 2.0, -1.0), 1.0))
+    shift, turn = _shift_and_turn(base, first)
     # An angle moves the tip, at most 0.25 m away, by as much as a shift would.
     if shift <= tolerances.frame_shift and turn * 0.25 <= max(tolerances.frame_shift, 1e-4):
         return FINE
@@ -143,6 +166,14 @@ def base_still(
         Code.SETUP_CHANGED,
         f"{what} moved by {shift * 1e3:.1f} mm and {math.degrees(turn):.2f} degrees: the calibration no longer holds",
     )
+
+
+def shifted(base: Array | None, first: Array | None) -> float:
+    """By how much a frame (4, 4) that moved shifts a tip in it, at most [m]; 0 while it is not known."""
+    if base is None or first is None:
+        return 0.0
+    shift, turn = _shift_and_turn(base, first)
+    return shift + 0.25 * (turn if turn > LEAST_TURN else 0.0)
 
 
 def slow_enough(readings: ArmReadings, ratio: float) -> Verdict:
@@ -166,21 +197,6 @@ def nobody_holds_it(readings: ArmReadings, now: float, ours: bool, last_command:
             Code.ARM_NOT_READY, "the arm is busy without a command of ours: somebody moves it by hand or by another program"
         )
     return FINE
-
-
-def setpoint_ours(setpoint: Pose | None, ours: Sequence[Pose], tolerances: ToleranceConfig) -> Verdict:
-    """The setpoint is on the way that we sent, `ours`; where none was sent, nothing is known to be foreign."""
-    if not ours or setpoint is None:
-        return FINE
-    away = distance_to_path(setpoint.position, np.array([pose.position for pose in ours]))
-    turned = min(setpoint.angle_to(pose) for pose in ours)
-    if away <= tolerances.foreign and turned <= tolerances.rotation:
-        return FINE
-    return _end(
-        Code.FOREIGN_MOTION,
-        f"the setpoint is {away * 1e3:.1f} mm and {math.degrees(turned):.1f} degrees from where it was sent: "
-        "somebody else drives the arm, or it altered what we sent",
-    )
 
 
 def jaw_ours(setpoint: Sample[JointState], commanded: float | None, tolerances: ToleranceConfig) -> Verdict:
@@ -230,11 +246,30 @@ def only_us(publishers: Mapping[str, Sequence[str]], us: Sequence[str]) -> Verdi
     return FINE
 
 
+def chain_open(arms: Sequence[tuple[OperatingState, str]]) -> bool:
+    """Whether all arms lost their power at once, by state and the robot's text: the emergency stop cuts that of all (6.4)."""
+    return all(state is OperatingState.FAULT and "power" in error.lower() for state, error in arms)
+
+
 def one_source(sources: Mapping[str, int]) -> Verdict:
     """One node alone reports for the arm; `sources` are the publishers by telemetry topic."""
     for topic, count in sources.items():
         if count > 1:
             return _end(Code.SETUP_CHANGED, f"{topic} comes from {count} nodes at once; stop all but the robot's")
+    return FINE
+
+
+def sees_as_calibrated(changed: str, apart: float, skew: float) -> Verdict:
+    """The cameras see by the calibration that the session began with, and the eyes' stamps, `apart` [s], still tell of one instant.
+
+    Grabbers are not synchronised; but stamps that part by more than the `skew` [s] allowed, and half of it for what the graph takes,
+    join images of two instants.
+    """
+    if changed:
+        return _end(Code.SETUP_CHANGED, changed)
+    if apart > 1.5 * skew:
+        said = f"the stamps of the two eyes are {apart * 1e3:.0f} ms apart though their images arrive together"
+        return _wait(Code.CAMERA_STALE, said)
     return FINE
 
 
@@ -282,6 +317,11 @@ def command_topics(config: RobotConfig, arm: ArmConfig) -> list[str]:
 def pressed(joy: Received[Joy] | None) -> bool:
     """Whether a pedal or button is held down; 2 is a quick tap that is over."""
     return joy is not None and bool(joy.message.buttons) and joy.message.buttons[0] == 1
+
+
+def _shift_and_turn(base: Array, first: Array) -> tuple[float, float]:
+    shift = float(np.linalg.norm(base[:3, 3] - first[:3, 3]))
+    return shift, math.acos(min(max((float(np.trace(base[:3, :3].T @ first[:3, :3])) - 1.0) / 2.0, -1.0), 1.0))
 
 
 def _age(sample: Sample[Any], now: float) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from hardware.dvrk.arm_readings import ArmReadings
 from hardware.dvrk.calibration import ArmFrames, as_matrix, to_base
 from hardware.dvrk.config import ArmConfig
-from hardware.dvrk.kinematics import check_pose, inverse
+from hardware.dvrk.kinematics import reached
 from hardware.interface import Pose
 
 
@@ -15,13 +15,13 @@ def unreachable(arm: ArmConfig, frames: ArmFrames, readings: ArmReadings, poses:
     """Why the arm would not go to exactly these tool poses in the camera frame, one after the other; "" when it would."""
     joints = readings.joints.good
     if joints is None or readings.base is None:
-        return f"the joints of {arm.name} are not known"
+        return f"the joints of {arm.called} are not known"
     near = joints.message.position
     for pose in poses:
         if not pose.is_finite():
             return "the commanded pose is not finite"
-        tip = as_matrix(to_base(frames, pose))
-        if reason := check_pose(arm.instrument, tip, near):
-            return f"{arm.name}: {reason}"
-        near = inverse(arm.instrument, tip, near).q
+        solution = reached(arm.instrument, as_matrix(to_base(frames, pose)), near)
+        if solution.reason:
+            return f"{arm.called}: {solution.reason}"
+        near = solution.q
     return ""

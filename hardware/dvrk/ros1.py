@@ -6,12 +6,12 @@ the nodes from before, so `alive` asks it for ourselves: a node that it does not
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import tempfile
 import threading
 import time
+import warnings
 import xmlrpc.client
 from collections.abc import Callable, Mapping
 from http.client import HTTPConnection, HTTPException
@@ -23,17 +23,16 @@ import rospy
 
 from hardware.dvrk.messages import Message, Picture, Service
 from hardware.dvrk.ros1_classes import message_class, service_class
-from hardware.dvrk.ros_messages import from_ros, to_ros
+from hardware.dvrk.ros_messages import from_ros, receiver, to_ros
 from hardware.dvrk.transport import Clock, TransportError
 
 M = TypeVar("M", bound=Message)
 Q = TypeVar("Q")
 A = TypeVar("A")
 
-log = logging.getLogger(__name__)
-
 SILENCE = 0.5  # [s] for which the master may be silent before it counts as gone; one that refuses is gone at once
 ASK_EVERY = 0.04  # [s]
+KNOWN_FOR = 0.2  # [s] for which it stays known who publishes what
 FLUSH = 0.05  # [s]; every connection sends from a thread of its own
 LEAVE = 2.0  # [s] for which a master that hangs may delay our leaving
 PICTURE_BUFFER = (
@@ -49,7 +48,9 @@ class PublisherROS1:
     def __init__(self, topic: str, kind: type[Message], latched: bool, queue: int) -> None:
         self._class = message_class(kind.ROS)
         self._topic, self._kind = topic, kind
-        self._ros = rospy.Publisher(topic, self._class, latch=latched, queue_size=queue, tcp_nodelay=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # that there is no queue
+            self._ros = rospy.Publisher(topic, self._class, latch=latched, queue_size=queue or None, tcp_nodelay=True)
 
     def publish(self, message: Message) -> None:
         """Send it.
@@ -78,24 +79,9 @@ class SubscriptionROS1:
     """See `transport.Subscription`."""
 
     def __init__(self, topic: str, kind: type[M], callback: Callable[[M, float], None], queue: int, clock: Clock) -> None:
-        turn = threading.Lock()  # two publishers are two threads
-        puzzled = False
-
-        def receive(ros: Any) -> None:
-            nonlocal puzzled
-            received = clock()
-            try:
-                message = from_ros(kind, ros)
-            except ValueError as error:
-                if not puzzled:
-                    log.warning("what comes over %s is dropped: %s", topic, error)
-                puzzled = True
-                return
-            with turn:
-                callback(message, received)
-
         buffer = PICTURE_BUFFER if kind is Picture else 1 << 16
         found = message_class(kind.ROS)
+        receive = receiver(topic, kind, callback, clock)
         self._ros = rospy.Subscriber(topic, found, receive, queue_size=queue, buff_size=buffer, tcp_nodelay=True)
 
     def sources(self) -> int:
@@ -122,6 +108,9 @@ class TransportROS1:
         _become_node(name)
         self._clock = clock
         self._knew_us = time.monotonic()  # when the master last said so
+        self._turn = threading.Lock()
+        self._publishers: dict[str, list[str]] = {}  # of each topic, as the master said at `_asked` [s]
+        self._asked = -math.inf
         self._left = threading.Event()
         threading.Thread(target=self._watch_master, name="ROS master", daemon=True).start()
 
@@ -189,8 +178,12 @@ class TransportROS1:
         Raises:
             TransportError: the master does not answer.
         """
-        publishers = dict(self._master.ask("getSystemState", rospy.get_name())[0])
-        return tuple(str(node).removeprefix("/") for node in publishers.get(topic, ()))
+        with self._turn:
+            # Who asks, asks of many topics at once; and to read all that a master tells takes it as long as ten looks of the monitor.
+            if time.monotonic() - self._asked > KNOWN_FOR:
+                self._publishers = dict(self._master.ask("getSystemState", rospy.get_name())[0])
+                self._asked = time.monotonic()
+            return tuple(str(node).removeprefix("/") for node in self._publishers.get(topic, ()))
 
     def alive(self) -> bool:
         """Whether the master answers, and knows us."""
@@ -202,7 +195,7 @@ class TransportROS1:
             return
         time.sleep(FLUSH)
         self._left.set()
-        leaving = threading.Thread(target=rospy.signal_shutdown, args=("closed",), daemon=True)
+        leaving = threading.Thread(target=_leave, daemon=True)
         leaving.start()
         leaving.join(LEAVE)
 
@@ -222,6 +215,16 @@ def _stands(connection: Any) -> bool:
         return connection.socket is not None and bool(connection.socket.getpeername())
     except (AttributeError, OSError):  # it went away, or is not there yet
         return False
+
+
+def _leave() -> None:
+    """Shut rospy down, but first its server for other nodes: rospy itself closes the socket and leaves the loop running, a core's worth."""
+    for hook in tuple(rospy.core._shutdown_hooks or ()):
+        node = getattr(hook, "__self__", None)
+        if isinstance(node, rosgraph.xmlrpc.XmlRpcNode) and node.server is not None:
+            node.is_shutdown = True  # or it starts again
+            node.server.shutdown()
+    rospy.signal_shutdown("closed")
 
 
 def _become_node(name: str) -> None:

@@ -7,7 +7,6 @@ Without a master there is nothing that could be gone but this node itself; peers
 from __future__ import annotations
 
 import importlib
-import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -19,14 +18,12 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from hardware.dvrk.messages import CameraInfo, Message, Picture, Service
-from hardware.dvrk.ros_messages import from_ros, to_ros
+from hardware.dvrk.ros_messages import from_ros, receiver, to_ros
 from hardware.dvrk.transport import Clock, TransportError
 
 M = TypeVar("M", bound=Message)
 Q = TypeVar("Q")
 A = TypeVar("A")
-
-log = logging.getLogger(__name__)
 
 FLUSH = 0.05  # [s]; the middleware may send from a thread of its own
 LEAVE = 2.0  # [s] for which a callback that hangs may delay our leaving
@@ -70,20 +67,7 @@ class SubscriptionROS2:
         self, node: Any, topic: str, kind: type[M], callback: Callable[[M, float], None], quality: QoSProfile, clock: Clock
     ) -> None:
         self._node, self._topic = node, topic
-        puzzled = False
-
-        def receive(ros: Any) -> None:
-            nonlocal puzzled
-            received = clock()
-            try:
-                message = from_ros(kind, ros)
-            except ValueError as error:
-                if not puzzled:
-                    log.warning("what comes over %s is dropped: %s", topic, error)
-                puzzled = True
-                return
-            callback(message, received)
-
+        receive = receiver(topic, kind, callback, clock)
         self._ros = node.create_subscription(_class_of(kind.ROS, "msg"), topic, receive, quality)
 
     def sources(self) -> int:
@@ -192,7 +176,7 @@ class TransportROS2:
 def _quality(queue: int, latched: bool, reliable: bool = True) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=queue,
+        depth=max(queue, 1),
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

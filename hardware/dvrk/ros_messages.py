@@ -7,7 +7,9 @@ that is not of unit length goes through as it came, so that the driver can refus
 
 from __future__ import annotations
 
+import logging
 import math
+import threading
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,18 +20,23 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hardware.dvrk import messages as ours
+from hardware.dvrk.transport import Clock
 from hardware.interface import Array
 
 T = TypeVar("T")
+M = TypeVar("M", bound=ours.Message)
+
+log = logging.getLogger(__name__)
 
 # How many bytes a pixel has, and where its red, green and blue are.
-ENCODINGS: Mapping[str, tuple[int, tuple[int, int, int]]] = {
-    "rgb8": (3, (0, 1, 2)),
-    "bgr8": (3, (2, 1, 0)),
-    "rgba8": (4, (0, 1, 2)),
-    "bgra8": (4, (2, 1, 0)),
-    "8UC3": (3, (2, 1, 0)),  # OpenCV's order, as image_proc means it
-    "mono8": (1, (0, 0, 0)),
+_RGB, _BGR = slice(0, 3), slice(2, None, -1)
+ENCODINGS: Mapping[str, tuple[int, slice | list[int]]] = {
+    "rgb8": (3, _RGB),
+    "bgr8": (3, _BGR),
+    "rgba8": (4, _RGB),
+    "bgra8": (4, _BGR),
+    "8UC3": (3, _BGR),  # OpenCV's order, as image_proc means it
+    "mono8": (1, [0, 0, 0]),
 }
 
 
@@ -51,6 +58,30 @@ def to_ros(message: object, ros: Any) -> Any:
     for field, part in _LAYOUT[type(message)].items():
         part.write(part.parent(ros), part.name, getattr(message, field))
     return ros
+
+
+def receiver(topic: str, kind: type[M], callback: Callable[[M, float], None], clock: Clock) -> Callable[[Any], None]:
+    """What a subscription is to call with every ROS object: `callback` gets our message and when it came, one after the other.
+
+    What cannot be understood is dropped; the log says so once.
+    """
+    turn = threading.Lock()  # in ROS 1 two publishers are two threads
+    puzzled = False
+
+    def receive(ros: Any) -> None:
+        nonlocal puzzled
+        received = clock()
+        try:
+            message = from_ros(kind, ros)
+        except ValueError as error:
+            if not puzzled:
+                log.warning("what comes over %s is dropped: %s", topic, error)
+            puzzled = True
+            return
+        with turn:
+            callback(message, received)
+
+    return receive
 
 
 @dataclass(frozen=True)
@@ -151,7 +182,7 @@ def _read_picture(ros: Any) -> Any:
         )
     rows = bytes_[: ros.height * ros.step].reshape(ros.height, ros.step)
     pixels = rows[:, : ros.width * size].reshape(ros.height, ros.width, size)
-    return np.ascontiguousarray(pixels[:, :, order])
+    return np.array(pixels[:, :, order], order="C")  # a copy: what ROS received cannot be written
 
 
 def _write_picture(ros: Any, _: str, image: Any) -> None:

@@ -3,7 +3,8 @@
 Data are always published, valid or not: a stamp of 0 means that the robot itself calls them invalid. Stamps are by the robot's clock, which
 may be hours from ours, so a reading's age is told by when it was received; of the stamp only its progress counts. The least delay
 ever seen between stamp and receipt is taken for the clocks' offset; what comes later than that is as much older. A clock that is
-set back in the middle of a session makes all data look late, and the arms hold. Callbacks may come from any thread.
+set in the middle of a session tells no ages any more: set back it makes all data look late, set ahead it makes them invalid, and the
+arms hold. Callbacks may come from any thread.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -26,8 +27,11 @@ M = TypeVar("M", bound=Message)
 DRIFT = 1e-3  # [s/s] by which the offset may grow: clocks drift apart, and a link's least delay may
 UNIT = 1e-3  # how far a quaternion's length may lie from 1
 SET_BACK = 1.0  # [s]; a stamp further behind the last one than this comes from a clock that was set
+SET_AHEAD = 1.0  # [s]; nor does a message come this much sooner than the soonest of all before
 SOME = 20  # gaps between messages that are looked at together
 KEPT = 2000  # readings that the figures are told from
+WATCHED = 40  # readings by which noise is known
+REPEATED = 0.1  # share of a noisy sensor's readings that may equal the one before
 
 
 @dataclass(frozen=True)
@@ -41,11 +45,15 @@ class Received(Generic[M]):
 
 @dataclass(frozen=True)
 class Sample(Generic[M]):
-    """The newest good message of a topic, what was wrong with the newest one ("" nothing), and since when its values stand still."""
+    """The newest good message of a topic, what was wrong with the newest one ("" nothing), and since when its values stand still.
+
+    `noisy`: before they stood still they never did, not even where nothing moved, as those of a live encoder or current sensor.
+    """
 
     good: Received[M] | None
     problem: str
     unchanged_since: float
+    noisy: bool = False
 
     def fresh(self, now: float, limit: float) -> bool:
         """Whether it is valid and at most `limit` [s] old at `now` [s]."""
@@ -77,6 +85,7 @@ class Stream(Generic[M]):
         self._good: Received[M] | None = None
         self._wrong = ""
         self._unchanged_since = math.inf
+        self._noise = _Noise()
         self._offset = math.inf
         self._first = self._last = math.nan
         self._count = self._invalid = 0
@@ -88,7 +97,7 @@ class Stream(Generic[M]):
     def sample(self) -> Sample[M]:
         """The newest reading."""
         with self._lock:
-            return Sample(self._good, self._wrong, self._unchanged_since)
+            return Sample(self._good, self._wrong, self._unchanged_since, self._noise.known)
 
     def sources(self) -> int:
         """How many publishers are connected."""
@@ -117,7 +126,7 @@ class Stream(Generic[M]):
         with self._lock:
             self._count_in(now)
             stamp = float(getattr(message, "stamp", math.nan))
-            self._wrong = self._stamp_problem(stamp) or self._problem(message)
+            self._wrong = self._stamp_problem(stamp, now) or self._problem(message)
             if self._wrong:
                 self._invalid += 1
                 return
@@ -128,14 +137,18 @@ class Stream(Generic[M]):
             self._offset = min(self._offset + drift, now - stamp)
             taken = stamp + self._offset
             self._delays.append(now - taken)
-            if last is None or not _same(last.message, message):
+            if self._noise.changed(message):
                 self._unchanged_since = now
             self._good = Received(message, now, taken)
 
-    def _stamp_problem(self, stamp: float) -> str:
+    def _stamp_problem(self, stamp: float, now: float) -> str:
         if stamp == 0.0:
             return "the robot calls its data invalid (stamp 0)"
-        return "" if math.isfinite(stamp) else "its stamp is not finite"
+        if not math.isfinite(stamp):
+            return "its stamp is not finite"
+        ahead = self._offset - (now - stamp)
+        known = len(self._delays) >= SOME  # the first messages may have waited for long
+        return f"the clock of its stamps was set ahead by {ahead:.1f} s" if known and ahead > SET_AHEAD else ""
 
     def _count_in(self, now: float) -> None:
         self._count += 1
@@ -145,6 +158,37 @@ class Stream(Generic[M]):
             self._gaps.append(now - self._last)
             self._longest = max(self._longest, now - self._last)
         self._last = now
+
+
+class _Noise:
+    """Whether a topic's numbers change, and whether they do so by noise: a motion without it goes on, and then stands still for good."""
+
+    def __init__(self) -> None:
+        self.known = False
+        self._last: Array | None = None
+        self._step: Array | None = None
+        self._changes: deque[bool] = deque(maxlen=WATCHED)
+        self._turns: deque[bool] = deque(maxlen=WATCHED)  # whether a change went back on the one before
+
+    def changed(self, message: Message) -> bool:
+        """Take the next message; gives whether it tells other numbers than the last one."""
+        numbers, last = _numbers(message), self._last
+        self._last = numbers
+        if numbers is None or last is None or numbers.shape != last.shape:
+            self._step = None
+            return True
+        if np.array_equal(numbers, last):
+            self._changes.append(False)
+            return False
+        step = numbers - last
+        if self._step is not None:
+            self._turns.append(float(step @ self._step) < 0.0)
+        self._step = step
+        self._changes.append(True)
+        # Known by what came before, and so told as long as the numbers stand still.
+        enough = len(self._turns) == WATCHED == len(self._changes)
+        self.known = enough and self._changes.count(False) <= REPEATED * WATCHED and 2 * sum(self._turns) >= WATCHED
+        return True
 
 
 class Event(Generic[M]):
@@ -200,13 +244,13 @@ def wrench_problem(message: WrenchStamped) -> str:
     return "" if np.shape(message.force) == (3,) and np.isfinite(message.force).all() else "its force is not finite"
 
 
-def _same(a: Any, b: Any) -> bool:
-    """Whether two messages tell the very same numbers; a live encoder or current sensor never does for long."""
-    if isinstance(a, JointState):
-        return all(_equal(getattr(a, name), getattr(b, name)) for name in ("position", "velocity", "effort"))
-    if isinstance(a, PoseStamped):
-        return _equal(a.position, b.position) and _equal(a.quaternion, b.quaternion)
-    return False
+def _numbers(message: Message) -> Array | None:
+    """What a live encoder or current sensor tells, as one vector; None for what is no such reading."""
+    if isinstance(message, JointState):
+        return np.concatenate([np.ravel(getattr(message, name)) for name in ("position", "velocity", "effort")])
+    if isinstance(message, PoseStamped):
+        return np.concatenate([np.ravel(message.position), np.ravel(message.quaternion)])
+    return None
 
 
 def _period(gaps: Sequence[float]) -> float:
@@ -215,7 +259,3 @@ def _period(gaps: Sequence[float]) -> float:
     if whole == 0:
         return float(np.median(gaps)) if gaps else math.nan
     return float(np.median(np.array(gaps)[-whole:].reshape(-1, SOME).mean(axis=1)))
-
-
-def _equal(a: Array, b: Array) -> bool:
-    return bool(np.array_equal(a, b))

@@ -8,7 +8,6 @@ in a row. Poses are the tool's, in the left camera frame. Not thread-safe: the a
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -17,15 +16,13 @@ import numpy as np
 from hardware.codes import Code
 from hardware.dvrk.config import RobotConfig
 from hardware.dvrk.moves import Move
-from hardware.dvrk.preconditions import distance_to_path
+from hardware.dvrk.setpoints import Setpoints
 from hardware.dvrk.streaming import Line, Pace, line, servo_line
 from hardware.interface import Pose
 from hardware.verdicts import Refusal
 
 SESSION_STEP = 1.0 / 30.0  # [s] between two servo commands of the session; each is spread over this
 SERVO_PACE = Pace(0.05, 1.5)  # at most, for those that come further apart than they should
-KEPT = 0.6  # [s] of what was sent that the setpoint may still be at
-HOLD_WITHIN = 0.3  # [s] after a hold, in which the setpoint comes to rest somewhere on the way that was sent
 SETTLE_WITHIN = 1.0  # [s] after the last setpoint
 
 
@@ -41,14 +38,13 @@ class Run:
 
 
 class TipStream:
-    """Streams one line at a time through `publish`; what it sent in the last moments tells foreign motion from ours."""
+    """Streams one line at a time through `publish`; `sent` knows what went out."""
 
     def __init__(self, publish: Callable[[Pose], None], config: RobotConfig, name: str) -> None:
         self._publish, self._config, self._name = publish, config, name
         self._pace = Pace(config.speeds.linear, config.speeds.angular)
         self._run: Run | None = None
-        self._sent: deque[tuple[float, Pose]] = deque()
-        self._anchor_at = -math.inf
+        self.sent = Setpoints(config.tolerances)
         self._stood: Pose | None = None  # what had been sent when the arm was last known to move
         self._away_at = math.inf
 
@@ -69,7 +65,7 @@ class TipStream:
 
     def servo(self, goal: Pose, setpoint: Pose, now: float) -> None:
         """Go on to `goal`, a short step away, from what was sent last."""
-        start = self._run.line.at(self._run.elapsed) if self._run else setpoint
+        start = self.start(setpoint)
         if self._run and self._run.move:
             self._run.move.end(Code.MOVE_NOT_REACHED, "another command took this motion's place")
         if not self._run:
@@ -77,55 +73,38 @@ class TipStream:
         self._run = Run(servo_line(start, goal, SERVO_PACE, SESSION_STEP), None)
 
     def start(self, setpoint: Pose) -> Pose:
-        """Where the next motion begins: where the one going on is, or the robot's `setpoint`."""
-        return self._run.line.at(self._run.elapsed) if self._run else setpoint
+        """Where the next motion begins: where the one going on is, what was sent last and is still under way, or the robot's `setpoint`."""
+        if self._run:
+            return self._run.line.at(self._run.elapsed)
+        return setpoint if self.sent.settled or self.sent.last is None else self.sent.last
 
     def stop(self, code: Code, message: str) -> None:
         """Send no more."""
         if self._run and self._run.move:
             self._run.move.end(code, message)
         self._run = None
-
-    def held(self, now: float) -> None:
-        """A hold was sent: the setpoint stays on the way, and from `HOLD_WITHIN` on where it then is."""
-        self._anchor_at = now + HOLD_WITHIN
+        self.sent.rest()
 
     def forget(self) -> None:
         """Where the setpoint should be is not known: the arm was not ours for a while."""
-        self._sent.clear()
-        self._anchor_at = -math.inf
+        self.sent.forget()
         self._stood, self._away_at = None, math.inf
 
     def sent_away(self, moved: float) -> float:
         """When [s] the arm, which moved at `moved` [s] last, was first sent anywhere else since; inf while it is to stand still."""
         if self._away_at <= moved:
-            self._stood, self._away_at = (self._sent[-1][1] if self._sent else None), math.inf
+            self._stood, self._away_at = self.sent.last, math.inf
         return self._away_at
 
-    def ours(self, setpoint: Pose | None, now: float) -> list[Pose]:
-        """Where the setpoint may be by what we sent; empty while that is not known."""
-        if self._run is None and now >= self._anchor_at and setpoint is not None:
-            known = [pose for _, pose in self._sent]
-            self._anchor_at = math.inf
-            if not known or distance_to_path(setpoint.position, np.array([pose.position for pose in known])) <= self._foreign:
-                self._sent.clear()
-                self._sent.append((now, setpoint))
-        while len(self._sent) > 1 and self._sent[0][0] < now - KEPT and self._anchor_at == math.inf:
-            self._sent.popleft()
-        return [pose for _, pose in self._sent]
-
     def step(self, now: float, dt: float, setpoint: Pose, measured: Pose, stamp: float) -> Refusal | None:
-        """Go on by `dt` [s]; gives why the motion failed, if it did. The arm is then to be told to hold."""
+        """Go on by `dt` [s]; gives how a motion ended. Where it failed, the arm is to be told to hold."""
         run = self._run
         if run is None:
             return None
-        if self._ignored(now, setpoint):
-            within = self._config.rates.busy_within
-            return Refusal(Code.MOVE_REJECTED, f"{self._name} has not followed its commands for {within:.1f} s")
         if run.elapsed < run.line.duration:
             run.elapsed += dt
             pose = run.line.at(run.elapsed)
-            self._sent.append((now, pose))
+            self.sent.send(now, pose)
             self._publish(pose)
             if self._away_at == math.inf and self._stood is not None and self._differs(pose, self._stood):
                 self._away_at = now
@@ -134,29 +113,18 @@ class TipStream:
 
     # ------------------------------------------------------------ inside
 
-    @property
-    def _foreign(self) -> float:
-        return self._config.tolerances.foreign
-
     def _leave(self, start: Pose, now: float) -> None:
-        self._anchor_at = math.inf
-        self._sent.append((now, start))
+        self.sent.send(now, start)
         if self._away_at == math.inf:
             self._stood = start
 
     def _differs(self, a: Pose, b: Pose) -> bool:
-        return _off(a, b) > self._foreign or a.angle_to(b) > self._config.tolerances.rotation
-
-    def _ignored(self, now: float, setpoint: Pose) -> bool:
-        """Whether the setpoint is still at what was sent too long ago."""
-        if float(np.linalg.norm(self._sent[-1][1].position - setpoint.position)) <= self._foreign:
-            return False
-        away = np.linalg.norm(np.array([pose.position for _, pose in self._sent]) - setpoint.position, axis=1)
-        return now - self._sent[int(np.argmin(away))][0] > self._config.rates.busy_within
+        return _off(a, b) > self._config.tolerances.foreign or a.angle_to(b) > self._config.tolerances.rotation
 
     def _settle(self, run: Run, setpoint: Pose, measured: Pose, stamp: float, dt: float) -> Refusal | None:
         """All is sent: a servo step is over; a motion waits for the arm."""
         run.elapsed += dt
+        self.sent.rest()
         if run.move is None:
             self._run = None
             return None
@@ -168,7 +136,7 @@ class TipStream:
         if run.near >= tolerances.samples:
             run.move.end(Code.OK)
             self._run = None
-            return None
+            return Refusal(Code.OK, "")
         if run.elapsed <= run.line.duration + SETTLE_WITHIN:
             return None
         what = (

@@ -64,7 +64,11 @@ class Transport(Protocol):
         ...
 
     def publisher(self, topic: str, kind: type[M], latched: bool = False, queue: int = 1) -> Publisher[M]:
-        """Offer `topic`; `latched` ones give their last message to whoever connects later."""
+        """Offer `topic`; `latched` ones give their last message to whoever connects later.
+
+        `queue` messages wait for a slow listener, and the newest ones stay. With 0 none wait: `publish` sends by itself, at half the cost,
+        and a listener that stood still for minutes would hold it up. Nothing that commands may do so.
+        """
         ...
 
     def subscribe(

@@ -36,11 +36,13 @@ class ServedConsole:
         if config.console.setup_joints:
             self._bodies += [f"{config.console.setup_joints}/{arm.name}" for arm in config.arms]
         self._poses = [
-            (body, transport.publisher(config.topic(f"{body}/{kind}"), PoseStamped))
+            (body, transport.publisher(config.topic(f"{body}/{kind}"), PoseStamped, queue=0))
             for body in self._bodies
             for kind in ("measured_cp", "local/measured_cp")
         ]
-        self._joints = [(body, transport.publisher(config.topic(f"{body}/measured_js"), JointState)) for body in self._bodies]
+        self._joints = [
+            (body, transport.publisher(config.topic(f"{body}/measured_js"), JointState, queue=0)) for body in self._bodies
+        ]
         console, system = config.console.console, config.console.system
         self._listen(f"{console}/emulate_operator_present", Joy, guard(self._see_operator))
         for pedal in self._pedals:
@@ -74,10 +76,13 @@ class ServedConsole:
         """Tell where endoscope and set-up joints are: they stand still, unless somebody touches the endoscope."""
         still = np.array([0.0, 0.0, 0.0, 1.0])
         for body, publisher in self._poses:
+            if not publisher.listeners():
+                continue
             touched = body == self._config.console.endoscope_arm and self._faults.on(Fault.ENDOSCOPE_MOVED)
             publisher.publish(PoseStamped(stamp, f"{body.replace('/', '_')}_base", MOVED if touched else np.zeros(3), still))
         for _, joints in self._joints:
-            joints.publish(JointState(stamp, ENDOSCOPE_JOINTS, np.zeros(4), np.zeros(4), np.zeros(4)))
+            if joints.listeners():
+                joints.publish(JointState(stamp, ENDOSCOPE_JOINTS, np.zeros(4), np.zeros(4), np.zeros(4)))
 
     # ------------------------------------------------------------ inside
 

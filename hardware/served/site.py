@@ -21,6 +21,7 @@ from hardware.served.plant import HOME
 from hardware.stub.bench import StubBench
 
 ROBOT = "robot.toml"
+SCISSORS = "POTTS_SCISSORS:400001"
 TEXT = """\
 # The stub bench as `dissect serve-stub` publishes it, for `dissect run --bench dvrk --config {file}`. Written anew at each start.
 
@@ -35,9 +36,10 @@ jaw_length = 0.0195
 
 [cutter]
 name = "PSM2"
-tool_type = "POTTS_SCISSORS:400001"
+tool_type = "{cutter}"
 calibration = "PSM2-registration-open-cv.json"
 jaw_length = 0.0110
+jaw_closed = -0.2
 
 [camera]
 rig = "stereo"
@@ -66,15 +68,15 @@ def write_hand_eye(arm: ArmConfig, camera_from_base: Array) -> None:
     arm.calibration.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def write_site(bench: StubBench, folder: Path, transport: str = "ros1", prefix: str = "") -> RobotConfig:
-    """Write the configuration of the served robot and its hand-eye files into `folder`, and read it.
+def write_site(bench: StubBench, folder: Path, transport: str = "ros1", prefix: str = "", cutter: str = SCISSORS) -> RobotConfig:
+    """Write the configuration of the served robot and its hand-eye files into `folder`, and read it; PSM2 holds the tool type `cutter`.
 
     Raises:
-        InputError: `transport` or `prefix` is none.
+        InputError: `transport` or `prefix` is none, or nobody knows the instrument.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / ROBOT
-    path.write_text(TEXT.format(file=ROBOT, transport=transport, prefix=prefix), encoding="utf-8")
+    path.write_text(TEXT.format(file=ROBOT, transport=transport, prefix=prefix, cutter=cutter), encoding="utf-8")
     config = load_robot(path)
     for arm, frames in zip(config.arms, bases(bench, config).values(), strict=True):
         write_hand_eye(arm, frames.camera_from_base)

@@ -52,7 +52,7 @@ class ArmWires:
             for topic, (kind, latched) in EVENTS.items()
         }
         self._reports: list[tuple[Publisher[m.Message], Callable[[Readings], m.Message]]] = [
-            (transport.publisher(f"{namespace}/{topic}", kind), make)
+            (transport.publisher(f"{namespace}/{topic}", kind, queue=0), make)
             for topic, (kind, make) in messages(arm.name, faults).items()
         ]
         self._listen()

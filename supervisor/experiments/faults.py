@@ -26,14 +26,15 @@ import numpy as np
 from behaviours import board
 from hardware.codes import Code
 from hardware.interface import Array
-from hardware.served.faults import OF_ROBOT
+from hardware.served.faults import OF_ROBOT, ONCE
 from hardware.served.faults import Fault as Served
-from supervisor.experiments.faults_page import page
+from supervisor.experiments.faults_page import TOLERATED, page
 from supervisor.experiments.faults_skills import ESTIMATING, RETRACTING, SNIPPING
-from supervisor.experiments.faults_stand import ARMS, HOLD, Robot, Stand
+from supervisor.experiments.faults_stand import ARMS, HOLD, STOPS, Robot, Staged, Stand
 
 LONGEST = 60.0  # [s] for a session to come to a phase
 QUIET = (Code.OK, Code.LEASE_REVOKED)
+STEP_ENDS = 15.0  # [s] for a step that noticed nothing to end
 
 
 class Phase(StrEnum):
@@ -73,8 +74,8 @@ MOMENTS: Mapping[Phase, tuple[str, float, str]] = {
 class Patience:
     """How long a session is watched [s], from the fault until it counts as not noticed; after it was noticed; when it is gone."""
 
-    unnoticed: float = 3.0  # the driver asks every 2 s who else is on the graph
-    watched: float = 0.7
+    unnoticed: float = 4.0  # so that a motion of the jaw that comes next has time to fail
+    watched: float = 1.5  # longer than an arm must have been quiet for after a motion that failed
     recovery: float = 2.5
 
 
@@ -88,7 +89,8 @@ class Row:
     `noticed`: the first decision, trip or waiting guard, with `code` and `message`. `last_command`: the last motion command under the
     right to move that was alive then; `held`: when both arms had been told to hold. `after_hold`: such commands after that arm's hold, of
     which there must be none. `drift` [m]: how far a tip still went after the hold. `next_step`: commands of a later step of the procedure
-    while the fault lasts. `verdict`: held, at rest (nothing moved and nothing was sent), not noticed, or not held.
+    while the fault lasts; of one that happens once, until all guards are content again. `verdict`: held, at rest (nothing moved and nothing
+    was sent), not noticed, tolerated (not noticed, harmless by the rules of the robot, and the step ended well), or not held.
     """
 
     fault: str
@@ -113,36 +115,42 @@ def run_with_fault(fault: Fault, phase: Phase, folder: Path, patience: Patience 
     return watch(stand, fault, phase, patience)
 
 
-def run_all(cases: Iterable[tuple[Fault, Phase]], folder: Path, patience: Patience = PATIENT) -> Iterator[Row]:
-    """The same for many, with one session that is split at each phase: rows come phase by phase."""
+def run_all(
+    cases: Iterable[tuple[Fault, Phase]],
+    folder: Path,
+    patience: Patience = PATIENT,
+    make: Callable[[Path], Staged] = Stand,
+    moments: Mapping[Phase, tuple[str, float, str]] = MOMENTS,
+) -> Iterator[Row]:
+    """The same for many, with one session, which `make` makes, that is split at each phase: rows come phase by phase."""
     wanted = list(cases)
-    stand = Stand(folder)
+    stand = make(folder)
     for phase in Phase:
         faults = [fault for fault, at in wanted if at is phase]
         if not faults:
             continue
-        lead(stand, phase)
+        lead(stand, phase, moments)
         for fault in faults:
             yield _branch(partial(watch, stand, fault, phase, patience))
 
 
-def lead(stand: Stand, phase: Phase) -> None:
+def lead(stand: Staged, phase: Phase, moments: Mapping[Phase, tuple[str, float, str]] = MOMENTS) -> None:
     """Let the session go on to the moment of `phase`.
 
     Raises:
         RuntimeError: it never came there.
     """
-    doing, after, _ = MOMENTS[phase]
+    doing, after, _ = moments[phase]
     while not (stand.skills.doing[0].startswith(doing) and stand.now() - stand.skills.doing[1] >= after):
         if stand.ended or stand.now() > LONGEST:
             raise RuntimeError(f"the session never came to {phase}: {stand.root.feedback_message}")
         stand.tick()
 
 
-def watch(stand: Stand, fault: Fault, phase: Phase, patience: Patience) -> Row:
+def watch(stand: Staged, fault: Fault, phase: Phase, patience: Patience) -> Row:
     """Let `fault` happen now, and see what becomes of the session."""
     arm = MOMENTS[phase][2]
-    seen = _Seen(stand)
+    seen = _Seen(stand, once=isinstance(fault, Served) and fault in ONCE)
     inject(stand, fault, arm)
     while not (seen.noticed and stand.now() - seen.start >= seen.noticed[0] + patience.watched):
         if stand.now() - seen.start > patience.unnoticed:
@@ -161,15 +169,19 @@ def watch(stand: Stand, fault: Fault, phase: Phase, patience: Patience) -> Row:
     drift = seen.drift(held) if seen.noticed else 0.0
     at, code, message = seen.noticed or (None, "", "")
     outcome = _outcome(stand, seen, patience)
+    if verdict == "not noticed" and seen.ended_well and fault in TOLERATED:
+        verdict = "tolerated"
     return Row(fault.value, phase.value, arm, str(code), message, at, last, held, after, drift, further, outcome, verdict)
 
 
 class _Seen:
     """What is seen of a session from now on."""
 
-    def __init__(self, stand: Stand) -> None:
-        self._stand = stand
-        self.start = stand.now()
+    def __init__(self, stand: Staged, once: bool) -> None:
+        self._stand, self._once = stand, once
+        self.start, self.begun = stand.now(), stand.skills.begun
+        self._content = math.inf  # when all guards were content again
+        self.step: tuple[str, Code] | None = None  # the first one to end, and how
         self.noticed: tuple[float, Code, str] | None = None
         self._commands, self._decisions, self._notes = len(stand.heard), len(stand.decisions), len(stand.notes)
         self._lease = stand.lease()
@@ -181,18 +193,34 @@ class _Seen:
         self._tips.append((self._stand.now() - self.start, self._stand.tips()))
         if self.noticed is None and (found := min(self._complaints(), key=lambda one: one[0], default=None)):
             self.noticed = found
+        if self.noticed and self._content == math.inf and not any(self._guards()):
+            self._content = self._stand.now() - self.start
+        self.follow_step()
+
+    def follow_step(self) -> None:
+        """Look whether the step under way has ended."""
+        for key in board.RESULTS:
+            result = board.read(key)
+            if self.step is None and result is not None and result.stamp > self.start:
+                self.step = (key.name.split("/")[2], result.code)
+
+    @property
+    def ended_well(self) -> bool:
+        """Whether the step that was under way came to a good end."""
+        return self.step is not None and self.step[1] is Code.OK
 
     def commands(self) -> tuple[float | None, float | None, int, int]:
         """When both arms were held, the last motion command, those after the arm's hold, and those of a later step."""
         mine = [one for one in self._stand.heard[self._commands :] if one.ours]
         holds = {arm: min((one.at for one in mine if one.arm == arm and one.name == HOLD), default=math.inf) for arm in ARMS}
-        motions = [one for one in mine if one.name != HOLD]
+        motions = [one for one in mine if one.name not in STOPS]
         same = [one for one in motions if one.lease in (0, self._lease)]
         self._until = min((one.at - self.start for one in motions if one not in same), default=math.inf)
         held = max(holds.values()) - self.start
         last = max((one.at - self.start for one in same), default=None)
         after = sum(one.at > holds[one.arm] + 1e-9 for one in same)
-        return (held if math.isfinite(held) else None), last, after, len(motions) - len(same)
+        later = [one for one in motions if one not in same and (not self._once or one.at - self.start < self._content)]
+        return (held if math.isfinite(held) else None), last, after, len(later)
 
     def drift(self, held: float | None) -> float:
         """How far a tip went between the hold (or the fault, where none was sent) and now, or a later step's first command [m]."""
@@ -219,10 +247,16 @@ class _Seen:
         assert gate is not None
         if trip := gate.tripped:
             yield trip.stamp - self.start, trip.code, trip.message
+        for code, message in self._guards():
+            yield now, code, message
+
+    def _guards(self) -> Iterator[tuple[Code, str]]:
+        gate = self._stand.gate
+        assert gate is not None
         for check in (gate.check_arms, gate.check_camera, gate.check_workspace, gate.check_tension):
             verdict = check()
             if not verdict.ok:
-                yield now, verdict.code, verdict.message
+                yield verdict.code, verdict.message
 
 
 def inject(stand: Robot, fault: Fault, arm: str) -> None:
@@ -247,13 +281,20 @@ def clear(stand: Robot) -> None:
     stand.deadman_runs = True
 
 
-def _outcome(stand: Stand, seen: _Seen, patience: Patience) -> str:
+def _outcome(stand: Staged, seen: _Seen, patience: Patience) -> str:
     """How the session ended, or what it does when the fault is gone."""
+    if seen.noticed is None:
+        until = stand.now() + STEP_ENDS
+        while seen.step is None and not stand.ended and stand.now() < until:
+            stand.tick()
+            seen.follow_step()
+        step = "goes on" if seen.step is None else f"{seen.step[0]}: {seen.step[1]}"
+        return f"{step}; {_ending()}" if stand.ended else step
     if stand.ended:
         return _ending()
-    if seen.noticed is None:
-        return "goes on"
     first = "waits" if seen.interrupted else "the step ends, the session goes on"
+    if stand.skills.begun > seen.begun:
+        return f"{first}; looks again"
     clear(stand)
     begun, until = stand.skills.begun, stand.now() + patience.recovery
     while not stand.ended and stand.now() < until and (stand.skills.begun == begun or stand.lease() == 0):

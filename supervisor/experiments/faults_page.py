@@ -5,30 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-# Faults that nobody can or need notice, in all phases or in some, and why.
-NO_COMMAND = "it shows at the next command; where none is sent, nothing is rejected or lost, and nothing moves"
+# Faults that do no harm where nobody noticed them, and why to hold would be wrong.
 NO_TRAJECTORY = (
-    "only a motion that the robot makes by itself, here that of the jaw, can be hindered; in these phases none is under way"
+    "only a motion that the robot makes by itself, here that of the jaw, can be hindered; in these phases none is under way, "
+    "and the arm does all that it is told"
 )
-CLOCK = "ages are told by when a message was received; a clock that jumps ahead makes nothing look young"
-REASONS: Mapping[str, str] = {
-    "not_ready": NO_COMMAND,
-    "lost_commands": NO_COMMAND,
-    "ik_failure": NO_COMMAND,
-    "frozen": "an arm at rest that tells the same numbers is what is expected; it shows when the arm is sent elsewhere",
-    "foreign_servo": "the arm is not asked to hold still by its setpoint until its own motion is over",
+TOLERATED: Mapping[str, str] = {
     "jaw_blocked": NO_TRAJECTORY,
     "interrupt": NO_TRAJECTORY,
-    "busy_pulse": "it is over before the next look, and nothing has moved",
-    "jaw_slips": "it shows by the tension alone: to the test of the grasp, which is left out here, and to the exposure, which then "
-    "ends with code ok; while tissue is cut or judged nobody looks for it",
-    "jaw_stale_goal": "it shows at the robot's own moves of the arm, of which the driver makes none",
-    "latched_error": "an old text is told to who connects later; nothing is judged by a text alone",
-    "clock_ahead": CLOCK,
-    "clock_behind": CLOCK,
-    "skewed_stamps": "50 ms of skew at 30 pictures a second: the next picture of the other eye is within `max_skew`, and pairs are formed",
-    "zero_k": "a calibration is read once, before the session, where an empty one is refused; what comes later is not used",
+    "busy_pulse": "a robot is busy for a moment for many reasons, and tells so again when asked for its state: no motion of ours ends "
+    "by it (2.4, trap 2), and a motion of somebody else's shows by the setpoint",
+    "jaw_slips": "the arm and its jaw do as they are told: it is the tissue that is gone. It shows by the tension alone, to the test of "
+    "the grasp, which is left out here, and to the exposure, which then ends its pull, with code ok and `stopped_by` grasp_slipped",
+    "jaw_stale_goal": "it shows at the robot's own moves of the arm, of which the driver makes none (7.7); a jaw whose setpoint moved all "
+    "the same would end the session with foreign_motion",
+    "latched_error": "an old text is told to who connects later; nothing is judged by a text alone (1.1)",
 }
+# Faults that nobody can know of, and why.
+NO_COMMAND = (
+    "it shows at the next command of that arm; here none is sent to it any more, nothing is rejected or lost, and nothing moves"
+)
+REASONS: Mapping[str, str] = {"not_ready": NO_COMMAND, "lost_commands": NO_COMMAND, "ik_failure": NO_COMMAND}
+# What the robot does with its commands leaves no trace before the next one.
+BY_COMMAND = ("not_ready", "lost_commands", "ik_failure")
 HEAD = """\
 # Faults of a robot, phase by phase
 
@@ -49,16 +48,40 @@ processes.
 - **last command**: from the fault to the last motion command on the graph under the lease that was alive; `-`: none came after it.
 - **hold**: from the fault until both arms had been told to hold; `-`: nothing was under way, and nothing was sent. A hold may come again.
 - **after**: motion commands under that lease after the hold of their arm. There must be none.
-- **next step**: motion commands of a later step while the fault was still there. Where a motion fails by its own rule, its step ends in
-  hold and the session looks again, as it would after any motion that did not arrive; a robot that still does not obey fails that step too.
+- **next step**: motion commands of a later step while the fault was still there (one that happens once: until all guards were content
+  again). There must be none.
 - **drift**: how far a tip still went after the hold [mm]: what the robot had under way, a power cut, or somebody else.
+
+A fault is **held** when both arms were told to hold and the step that was going on sent nothing after it; **at rest** when nothing was
+under way and nothing was sent; **tolerated** when it does no harm by the rules of the robot, nobody need notice it, and the step that was
+under way came to its end with code ok.
+
+## What follows a motion that failed
+
+A robot that swallows a command (it is not ready though it says so, the command is lost, no inverse kinematics are found) leaves no
+trace of it: it goes on to say that it is enabled, homed and not busy, and only another command could tell when it obeys again. So the first
+swallowed command ends the session, with `not_obeyed`: a streamed setpoint is missed after 100 ms, and judged 300 ms after the last one
+was sent; a motion of the jaw after 0.5 s. Nothing is tried again. Where the fault comes while nothing is sent, the time to notice it
+counts from the fault all the same.
+
+Any other motion that failed by its own rule (it was broken off, or did not arrive) stands as a reason of its own: both arms hold, the
+procedure is interrupted, and nothing is sent before the arm has been quiet for 1 s: not busy, its setpoint where it was sent, tip and jaw
+beside theirs, data fresh, and no motion of anybody else's. Then the session looks again. Jaws that something keeps open are not quiet, so
+they wait for a person. The second failure in a row of the same part ends the session with `not_obeyed`.
+
+Where somebody else drives an arm, that arm is held, and then paused: a hold does not keep it from the next command, and a paused arm
+takes none, from nobody. The deadman is asked to hold both arms until it is armed anew. The next session's checklist resumes the arm.
 """
 
 
-AGAIN = """\
-The fault was still there (an interrupt is over at once), and known by the failed motion alone: the session took it for a motion that
-did not arrive, and its next step moved the arms again. That goes against "no command after it", and weighs most where somebody else
-drove the arm:"""
+SLOW = 0.3  # [s]
+VERDICTS = ("held", "at rest", "tolerated", "not noticed", "not held")
+# Why a fault takes longer.
+TAKES: Mapping[str, str] = {
+    "foreign_commands": "ours took the place of each of its commands at once, and the master is asked every 0.5 s who else may command",
+    **dict.fromkeys(BY_COMMAND, "the robot went on with what it had taken before; it shows at the next command"),
+    "jaw_blocked": "the jaw's motion, which may have come later, had time to its end",
+}
 
 
 def page(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -72,28 +95,43 @@ def page(rows: Sequence[Mapping[str, Any]]) -> str:
         parts.append("None: where a fault was noticed, both arms held, and the step that was going on sent nothing after it.")
     again = [row for row in noticed if row["next_step"]]
     if again:
-        parts += ["", "## Held, and commanded anew by the next step", "", AGAIN, ""]
+        parts += [
+            "",
+            "## Held, and commanded anew by the next step",
+            "",
+            "Against the rule, while the fault was still there:",
+            "",
+        ]
         parts += [
             f"- {row['fault']}, {row['phase']}: {row['next_step']} commands, {row['code']}; {row['outcome']}" for row in again
         ]
+    slow = [row for row in noticed if row["held"] is not None and row["held"] > SLOW]
+    if slow:
+        parts += ["", "## Slow", "", f"Held later than {SLOW * 1e3:.0f} ms after the fault:", ""]
+        parts += [f"- {row['fault']}, {row['phase']}: {row['held'] * 1e3:.0f} ms; {_late(row)}" for row in slow]
     moved = [row for row in noticed if row["drift"] > 1e-3]
     if moved:
-        parts += ["", "## Held, and moved all the same", "", "By more than 1 mm after the hold; a `hold` is one message:", ""]
+        parts += [
+            "",
+            "## Held, and moved all the same",
+            "",
+            "By more than 1 mm after the hold. An arm whose clutch is pressed is limp, in somebody's hand:",
+            "",
+        ]
         parts += [f"- {row['fault']}, {row['phase']}: {row['drift'] * 1e3:.1f} mm, {row['outcome']}" for row in moved]
-    parts += ["", "## Not noticed", "", *_unnoticed(rows)]
+    parts += ["", "## Tolerated", "", *_reasons(rows, "tolerated", TOLERATED)]
+    parts += ["", "## Not noticed", "", *_reasons(rows, "not noticed", REASONS)]
     for phase in dict.fromkeys(row["phase"] for row in rows):
         parts += ["", f"## {phase.capitalize()}", "", *_table([row for row in rows if row["phase"] == phase])]
     return "\n".join(parts) + "\n"
 
 
 def _summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = [
-        "| phase | faults | held | of these, commanded anew | at rest | not noticed | not held | slowest hold (ms) | commands after |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    titles = ("phase", "faults", "held", "of these, commanded anew", *VERDICTS[1:], "slowest hold (ms)", "commands after")
+    lines = [f"| {' | '.join(titles)} |", "| --- " * len(titles) + "|"]
     for phase in dict.fromkeys(row["phase"] for row in rows):
         here = [row for row in rows if row["phase"] == phase]
-        counts = [sum(row["verdict"] == verdict for row in here) for verdict in ("held", "at rest", "not noticed", "not held")]
+        counts = [sum(row["verdict"] == verdict for row in here) for verdict in VERDICTS]
         counts.insert(1, sum(row["verdict"] == "held" and row["next_step"] > 0 for row in here))
         slowest = max((row for row in here if row["verdict"] == "held"), key=lambda row: row["held"], default=None)
         what = "-" if slowest is None else f"{slowest['held'] * 1e3:.0f} ({slowest['fault']})"
@@ -102,13 +140,17 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def _unnoticed(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _late(row: Mapping[str, Any]) -> str:
+    return TAKES.get(row["fault"], "**not explained: a finding**")
+
+
+def _reasons(rows: Sequence[Mapping[str, Any]], verdict: str, why: Mapping[str, str]) -> list[str]:
     lines = ["| fault | phases | why |", "| --- | --- | --- |"]
-    quiet = [row for row in rows if row["verdict"] == "not noticed"]
+    quiet = [row for row in rows if row["verdict"] == verdict]
     for fault in dict.fromkeys(row["fault"] for row in quiet):
         phases = ", ".join(row["phase"] for row in quiet if row["fault"] == fault)
-        lines.append(f"| {fault} | {phases} | {REASONS.get(fault) or '**not explained: a finding**'} |")
-    return lines if quiet else ["Every fault was noticed."]
+        lines.append(f"| {fault} | {phases} | {why.get(fault) or '**not explained: a finding**'} |")
+    return lines if quiet else ["None."]
 
 
 def _trouble(row: Mapping[str, Any]) -> str:
@@ -125,6 +167,8 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         keys = ("noticed", "last_command", "held") if row["noticed"] is not None else ("noticed",) * 3
         times = " | ".join("-" if row[key] is None else f"{row[key] * 1e3:.0f}" for key in keys)
         code = row["code"] or row["verdict"]
-        counts = f"{row['after_hold']} | {row['next_step']} | {row['drift'] * 1e3:.1f}"
+        counts = (
+            f"{row['after_hold']} | {row['next_step']} | {row['drift'] * 1e3:.1f}" if row["noticed"] is not None else "- | - | -"
+        )
         lines.append(f"| {row['fault']} | {code} | {times} | {counts} | {row['outcome']} |")
     return lines

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 import py_trees
 
-from behaviours.services import Services
+from behaviours.services import Services, SkillSet
 from hardware.dvrk import messages as m
 from hardware.dvrk.bench import BenchDVRK
 from hardware.dvrk.config import RobotConfig
@@ -42,7 +42,8 @@ from trees.session import create_root
 
 ARMS = ("PSM1", "PSM2")
 MOTIONS = {"servo_cp": m.PoseStamped, "jaw/move_jp": m.JointState, "state_command": m.StringStamped}
-HOLD = "hold"
+HOLD, PAUSE = "hold", "pause"
+STOPS = (HOLD, PAUSE)  # a paused arm takes no motion from anybody
 STRANGERS_PERIOD = 0.02  # [s] between what a second node sends
 
 
@@ -207,21 +208,36 @@ class Robot:
 
     def _hear(self, arm: str, name: str) -> Callable[[m.Message, float], None]:
         def hear(message: m.Message, received: float) -> None:
-            self.heard.append(Heard(self.now(), arm, name, not self._theirs, self.lease()))
+            what = PAUSE if isinstance(message, m.StringStamped) and message.string == PAUSE else name
+            self.heard.append(Heard(self.now(), arm, what, not self._theirs, self.lease()))
 
         return hear
 
 
-class Stand(Robot):
-    """One light session. `tick` lets it go on by one tick; `decisions` are those of the gate, `notes` what goes into the record."""
+class Doing(SkillSet, Protocol):
+    """Skills that tell what they do: `doing` is what is under way and since when [s]; `begun` counts those that move the arms."""
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder, scene(), blind=True)
+    doing: tuple[str, float]
+    begun: int
+
+
+class Staged(Robot):
+    """One session. `tick` lets it go on by one tick; `decisions` are those of the gate, `notes` what goes into the record."""
+
+    def __init__(
+        self,
+        folder: Path,
+        shown: Scene,
+        blind: bool,
+        make: Callable[[Staged, SafetyGate], Doing],
+        attempts: int = 3,
+        serving: Serving | None = None,
+    ) -> None:
+        super().__init__(folder, shown, blind, serving)
         self.decisions: list[Decision] = []
         self.notes: list[tuple[float, str, dict[str, Any]]] = []
         gate = self.gate = SafetyGate(self.bench, Limits(), self.decisions.append)
-        settings = fitted_grasp(fitted(SkillConfig(), self.config))
-        self.skills = PhaseSkills(gate, place_of(self.stub), self.goal, settings)
+        self.skills = make(self, gate)
         py_trees.blackboard.Blackboard.clear()
         self.root = create_root(
             Services(
@@ -231,6 +247,7 @@ class Stand(Robot):
                 goal=self.goal,
                 recorder_fault=lambda: None,
                 note=lambda topic, payload: self.notes.append((self.now(), topic, payload)),
+                max_attempts=attempts,
             )
         )
 
@@ -244,3 +261,14 @@ class Stand(Robot):
         if not self.ended:
             self.root.tick_once()
         self.bench.advance(TICK)
+
+
+class Stand(Staged):
+    """One light session: motions at known places, and nothing is looked at."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, scene(), True, self._light)
+
+    def _light(self, staged: Staged, gate: SafetyGate) -> Doing:
+        settings = fitted_grasp(fitted(SkillConfig(), self.config))
+        return PhaseSkills(gate, place_of(self.stub), self.goal, settings)

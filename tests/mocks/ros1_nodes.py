@@ -117,6 +117,9 @@ def client() -> None:
     started = time.monotonic()
     node.close()
     seen["closed_within"] = time.monotonic() - started
+    busy = time.process_time()
+    time.sleep(0.5)
+    seen["busy_after"] = time.process_time() - busy
     print(json.dumps(seen), flush=True)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from behaviours.proposal import Answer, Proposal
 from hardware.codes import Code, InputError
+from hardware.dvrk.config import LimitsConfig
 from hardware.dvrk.doctor import Finding
 from hardware.dvrk.messages import Picture
 from hardware.dvrk.transport import TransportError
@@ -19,7 +20,7 @@ from supervisor import topics
 from supervisor.cli import main
 from supervisor.doctor import Check
 from supervisor.reading import read
-from supervisor.robot import diagnose_robot, fitted, stay_prompt
+from supervisor.robot import agree_to_power, diagnose_robot, fitted, stay_prompt
 from supervisor.run import RunOptions, prepare_robot, run
 from supervisor.skillset import SkillConfig
 from tests.mocks.robot import Rig, camera_info, robot_config
@@ -110,6 +111,58 @@ def test_a_robot_that_is_not_ready_makes_no_record(rig: Rig, tmp_path: Path):
     assert not (tmp_path / "record").exists()
 
 
+def test_nothing_is_powered_or_homed_before_a_person_agrees(rig: Rig, tmp_path: Path):
+    bench, _ = prepare_robot(options(tmp_path, goal_file(tmp_path)), rig.bench)
+    asked: list[str] = []
+
+    def decline(question: str) -> str:
+        asked.append(question)
+        return ""
+
+    with pytest.raises(InputError, match="nothing was powered"):
+        agree_to_power(bench, decline)
+
+    assert "grasper (PSM1) and cutter (PSM2)" in asked[0]
+    assert not any(name == "state_command" for arm in rig.robot.arms.values() for name, _ in arm.heard)
+    assert bench.deadman == "idle"
+
+
+def test_where_nobody_can_be_asked_nobody_agrees(rig: Rig, tmp_path: Path):
+    bench, _ = prepare_robot(options(tmp_path, goal_file(tmp_path)), rig.bench)
+
+    def closed(question: str) -> str:
+        raise EOFError
+
+    with pytest.raises(InputError, match="nothing was powered"):
+        agree_to_power(bench, closed)
+
+
+def test_a_person_who_agrees_is_asked_once(rig: Rig, tmp_path: Path):
+    bench, _ = prepare_robot(options(tmp_path, goal_file(tmp_path)), rig.bench)
+
+    agree_to_power(bench, lambda question: "y")
+
+    assert bench.deadman == "watching"
+
+
+def test_arms_that_are_enabled_and_homed_need_no_word(tmp_path: Path):
+    def ask(question: str) -> str:
+        raise AssertionError(question)
+
+    agree_to_power(Rig(tmp_path).bench, ask)
+
+
+def test_the_limits_of_the_robot_are_those_of_its_session(tmp_path: Path, rig: Rig):
+    rig.bench._config = replace(rig.config, limits=LimitsConfig(tension_warn=1.0, tension_stop=1.5, max_speed=5e-3))
+    chosen = options(tmp_path, goal_file(tmp_path))
+    bench, goal = prepare_robot(chosen, rig.bench)
+
+    run(chosen, bench, goal, Decline())
+
+    limits = read(tmp_path / "record").header["limits"]
+    assert (limits["tension_stop"], limits["max_speed"], limits["camera_stale"]) == (1.5, 5e-3, 0.2)
+
+
 def test_potts_scissors_snip_shorter_because_they_open_less(tmp_path: Path):
     skills = fitted(SkillConfig(), robot_config(tmp_path))
 
@@ -191,3 +244,17 @@ def test_the_doctor_of_a_robot_is_a_list_of_checks(monkeypatch, rig: Rig, tmp_pa
     monkeypatch.setattr("supervisor.robot.examine", lambda bench: [Finding("deadman", False, "not running", "Start it.")])
 
     assert diagnose_robot(tmp_path / "robot.toml") == [Check("deadman", False, "not running", "Start it.", True)]
+
+
+def test_the_deadman_is_told_the_arms_of_the_configuration(monkeypatch, tmp_path):
+    told: list[list[str]] = []
+    config = replace(robot_config(tmp_path), prefix="/dvrk", transport="ros2")
+    monkeypatch.setattr("hardware.dvrk.config.load_robot", lambda file: config)
+    monkeypatch.setattr("hardware.dvrk.deadman.main", lambda arguments: told.append(arguments) or 0)
+    monkeypatch.setattr(sys, "argv", ["dissect", "deadman", "--config", "robot.toml"])
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+
+    assert ended.value.code == 0
+    assert told == [["/dvrk/PSM1", "/dvrk/PSM2", "--transport", "ros2", "--budget", "0.1"]]

@@ -275,9 +275,25 @@ def other_tool(rig: Rig) -> None:
     rig.robot.arms[CUTTER].tools.publish(String("PROGRASP_FORCEPS:400093"))
 
 
+def emergency_stop(rig: Rig) -> None:
+    for name, arm in rig.robot.arms.items():
+        arm.become("FAULT", error=f"{name}: detected power loss (actuators)")
+
+
+def uncalibrated(rig: Rig) -> None:
+    rig.robot.K = np.zeros((3, 3))
+
+
 @pytest.mark.parametrize(
     ("strike", "code"),
-    [(fault, Code.ARM_FAULT), (dead_deadman, Code.DEADMAN), (asked_hold, Code.DEADMAN), (other_tool, Code.SETUP_CHANGED)],
+    [
+        (emergency_stop, Code.EMERGENCY_STOP),
+        (uncalibrated, Code.SETUP_CHANGED),
+        (fault, Code.ARM_FAULT),
+        (dead_deadman, Code.DEADMAN),
+        (asked_hold, Code.DEADMAN),
+        (other_tool, Code.SETUP_CHANGED),
+    ],
 )
 def test_16_what_is_past_waiting_trips_the_gate_and_holds_both_arms(tmp_path, strike, code: Code):
     rig = Rig(tmp_path)
@@ -309,6 +325,37 @@ def test_a_master_that_is_gone_trips_though_nothing_can_be_sent_any_more(tmp_pat
     rig.bench.advance(0.05)
 
     assert gate.tripped is not None and gate.tripped.code is Code.CONNECTION_LOST
+
+
+def test_where_somebody_else_drives_an_arm_it_is_paused_and_the_deadman_goes_on_holding_both(tmp_path):
+    rig = Rig(tmp_path)
+    gate = SafetyGate(rig.bench, WIDE)
+    arm = rig.robot.arms[CUTTER]
+
+    arm.q = arm.q + np.array([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0])
+    rig.bench.advance(0.05)
+    before = holds(rig)
+    rig.bench.advance(0.5)
+
+    assert gate.tripped is not None and gate.tripped.code is Code.FOREIGN_MOTION
+    assert ("pause", None) in arm.heard and ("pause", None) not in rig.robot.arms[GRASPER].heard
+    assert rig.deadman is not None and rig.deadman.state.startswith("holding")
+    assert all(count > before[name] + 10 for name, count in holds(rig).items())
+
+
+def test_eyes_whose_stamps_part_hold_the_session_until_they_agree(tmp_path):
+    rig = Rig(tmp_path)
+    gate = SafetyGate(rig.bench, WIDE)
+    rig.bench.advance(0.5)
+
+    rig.robot.skew = 0.05
+    rig.bench.advance(0.5)
+    during = gate.check_arms()
+    rig.robot.skew = 0.0
+    rig.bench.advance(0.5)
+
+    assert during.code is Code.CAMERA_STALE and not during.latched
+    assert gate.check_arms().ok
 
 
 @pytest.mark.parametrize("strike", [teleop, nobody], ids=lambda value: value.__name__)
@@ -432,7 +479,7 @@ def test_the_doctor_tells_what_is_there_and_moves_nothing(tmp_path):
     rig.bench.close()
 
     assert findings["deadman"].ok and findings["deadman"].detail == "idle"
-    assert "disabled, not homed" in findings["PSM1 state"].detail
+    assert "disabled, not homed" in findings["grasper (PSM1) state"].detail
     assert findings["endoscope"].ok and "baseline 4.0 mm" in findings["endoscope"].detail
     assert "blocks a session" not in findings
     assert nothing_was_sent(rig) and beats == []

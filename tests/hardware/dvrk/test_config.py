@@ -8,6 +8,7 @@ import pytest
 
 from hardware.codes import InputError
 from hardware.dvrk.config import ArmConfig, RobotConfig, load_robot
+from hardware.limits import Limits
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "robot.toml"
 LEAST = """
@@ -70,9 +71,9 @@ def test_the_example_says_the_defaults_as_they_are(tmp_path: Path) -> None:
 def test_the_example_speaks_of_every_key() -> None:
     text = EXAMPLE.read_text(encoding="utf-8")
     robot = load_robot(EXAMPLE)
-    tables = [robot, robot.grasper, robot.camera, robot.console, robot.tolerances, robot.speeds, robot.rates]
+    tables = [robot, robot.grasper, robot.camera, robot.console, robot.tolerances, robot.speeds, robot.rates, robot.limits]
 
-    missing = [item.name for table in tables for item in fields(table) if item.name not in text]
+    missing = [item.name for table in tables for item in fields(table) if item.name not in text and item.name != "role"]
 
     assert missing == []
 
@@ -212,3 +213,46 @@ def test_a_jaw_has_a_plausible_length(length: float) -> None:
 def test_an_arm_has_a_name_that_can_stand_in_a_topic(name: str) -> None:
     with pytest.raises(InputError, match="name is "):
         arm(name=name)
+
+
+# Limits and names
+
+
+def test_limits_that_are_left_out_are_the_gates_own(tmp_path: Path) -> None:
+    assert load_robot(write(tmp_path)).limits.limits() == Limits()
+
+
+def test_limits_of_the_file_replace_the_gates_own(tmp_path: Path) -> None:
+    rest = "[limits]\nworkspace_lower = [-0.05, -0.05, 0.03]\ntension_stop = 2.5\nmax_speed = 0.006"
+
+    limits = load_robot(write(tmp_path, rest=rest)).limits.limits()
+
+    assert (limits.workspace_lower, limits.tension_stop, limits.max_speed) == ((-0.05, -0.05, 0.03), 2.5, 0.006)
+    assert limits.workspace_upper == Limits().workspace_upper
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("tension_stop = 6.0", "tension_stop is 6.0; it must not exceed tension_abort"),
+        ("tension_abort = 50", "tension_abort is 50.0; it must lie from 0.1 to 12"),
+        ("workspace_lower = [0.0, 0.0]", "workspace_lower is .* three numbers"),
+        ("workspace_lower = [-0.09, -0.07, 0.25]", "workspace_lower .* must lie below workspace_upper"),
+        ("workspace_upper = [0.09, 0.07, 2.0]", "none beyond 0.3"),
+        ("camera_stale = 1.0", "'camera_stale' is unknown"),
+    ],
+)
+def test_limits_that_guard_nothing_are_refused(tmp_path: Path, line: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        load_robot(write(tmp_path, rest=f"[limits]\n{line}"))
+
+
+def test_people_are_told_what_an_arm_does_and_what_it_is_called(tmp_path: Path) -> None:
+    robot = load_robot(write(tmp_path))
+
+    assert [arm.called for arm in robot.arms] == ["grasper (PSM1)", "cutter (PSM2)"]
+
+
+def test_what_an_arm_does_is_no_key_of_the_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'role' is unknown"):
+        load_robot(write(tmp_path, cutter='role = "grasper"'))

@@ -229,3 +229,29 @@ def test_before_the_calibration_is_told_images_make_no_pair():
     table.both(1)
 
     assert table.endoscope.stamp() == -np.inf
+
+
+def test_a_calibration_that_is_told_again_is_the_same_and_one_that_is_gone_is_told():
+    table = Table()
+    table.calibrate()
+    table.both(1)
+    table.time += 0.1
+    table.calibrate()
+    assert table.endoscope.changed() == ""
+
+    table.time += 0.1
+    table.calibrate(np.zeros((3, 3)))
+
+    assert table.endoscope.changed() == "the left camera's calibration is gone (its K is zero) since the session began"
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.05])
+def test_by_how_much_the_eyes_stamps_differ_is_told_by_when_their_images_arrive(skew: float):
+    table = Table(ahead=3.0)
+    table.calibrate()
+    assert table.endoscope.apart() == 0.0
+
+    for k in range(12):
+        table.both(k, skew)
+
+    assert table.endoscope.apart() == pytest.approx(skew, abs=1e-6)

@@ -9,15 +9,10 @@ from hardware.dvrk.config import ToleranceConfig
 from hardware.dvrk.messages import Joy
 from hardware.dvrk.preconditions import ConsoleReadings
 from hardware.dvrk.telemetry import Received
-from hardware.interface import Pose
+from hardware.interface import OperatingState
 from hardware.verdicts import Verdict
 
 TOLERANCES = ToleranceConfig()
-AT = np.array([0.0, 0.0, 0.0, 1.0])
-
-
-def pose(x: float) -> Pose:
-    return Pose(np.array([x, 0.0, 0.0]), AT)
 
 
 def console(**changes: object) -> ConsoleReadings:
@@ -57,19 +52,24 @@ def test_a_console_at_rest_is_fine_and_nobody_is_missed_where_nobody_is_wanted()
     assert must.console_free(console(teleops={}), True).ok  # there is no console that could drive
 
 
-@pytest.mark.parametrize(("x", "ok"), [(0.5e-3, True), (2.4e-3, True), (2.6e-3, False), (-0.6e-3, False)])
-def test_a_setpoint_is_ours_anywhere_along_the_way_that_was_sent(x: float, ok: bool):
-    assert must.setpoint_ours(pose(x), [pose(0.0), pose(1e-3), pose(2e-3)], TOLERANCES).ok is ok
+@pytest.mark.parametrize(
+    ("second", "cut"),
+    [
+        ((OperatingState.FAULT, "PSM2: detected power loss (actuators)"), True),
+        ((OperatingState.FAULT, "PSM2: tracking error"), False),
+        ((OperatingState.ENABLED, ""), False),
+    ],
+)
+def test_an_emergency_stop_cuts_the_power_of_all_arms(second: tuple[OperatingState, str], cut: bool):
+    assert must.chain_open([(OperatingState.FAULT, "PSM1: detected power loss (actuators)"), second]) is cut
 
 
-def test_a_setpoint_that_turned_by_itself_is_foreign():
-    turned = Pose(np.zeros(3), np.array([0.0, 0.0, np.sin(0.05), np.cos(0.05)]))
-
-    assert must.setpoint_ours(turned, [pose(0.0)], TOLERANCES).code is Code.FOREIGN_MOTION
-
-
-def test_where_nothing_was_sent_nothing_is_foreign():
-    assert must.setpoint_ours(pose(1.0), [], TOLERANCES).ok
+@pytest.mark.parametrize(
+    ("changed", "apart", "code"),
+    [("", 0.025, Code.OK), ("", 0.05, Code.CAMERA_STALE), ("K is zero", 0.05, Code.SETUP_CHANGED)],
+)
+def test_cameras_see_as_calibrated_and_at_one_instant(changed: str, apart: float, code: Code):
+    assert must.sees_as_calibrated(changed, apart, 0.02).code is code
 
 
 @pytest.mark.parametrize(("shift", "turn", "ok"), [(0.1e-3, 0.0, True), (0.3e-3, 0.0, False), (0.0, 2e-3, False)])

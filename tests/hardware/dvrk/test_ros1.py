@@ -97,6 +97,10 @@ def test_leaving_works_without_a_master_that_knows_us(seen: dict[str, Any]) -> N
     assert seen["status"] == 0
 
 
+def test_a_node_that_left_does_nothing_any_more(seen: dict[str, Any]) -> None:
+    assert seen["busy_after"] < 0.05  # of 0.5 s; rospy itself leaves a loop running
+
+
 def test_what_was_sent_just_before_leaving_arrives(seen: dict[str, Any]) -> None:
     assert "last words" in seen["echo"]
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware.dvrk import messages as m
-from hardware.dvrk.ros_messages import from_ros, to_ros
+from hardware.dvrk.ros_messages import from_ros, receiver, to_ros
 from tests.hardware.dvrk.conftest import skip_without_ros
 from tests.mocks import ros2_graph
 from tests.mocks.ros1_nodes import EXAMPLES, same
@@ -138,3 +138,28 @@ def test_a_matrix_whose_sides_do_not_fit_is_refused() -> None:
 
     with pytest.raises(ValueError, match="two sides are expected"):
         from_ros(m.Matrix, ros)
+
+
+def test_what_cannot_be_understood_is_dropped_and_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    came: list[tuple[m.Picture, float]] = []
+    receive = receiver("/stereo/left/image_raw", m.Picture, lambda message, at: came.append((message, at)), lambda: 7.0)
+    good = to_ros(m.Picture(1.0, "left", np.zeros((2, 2, 3), np.uint8)), of_ros2("sensor_msgs/Image"))
+    bad = to_ros(m.Picture(1.0, "left", np.zeros((2, 2, 3), np.uint8)), of_ros2("sensor_msgs/Image"))
+    bad.encoding = "yuv422"
+
+    for ros in (bad, good, bad):
+        receive(ros)
+
+    assert [at for _, at in came] == [7.0]
+    assert [record.getMessage().startswith("what comes over /stereo/left/image_raw is dropped") for record in caplog.records] == [
+        True
+    ]
+
+
+def test_a_picture_is_a_copy_that_may_be_drawn_on() -> None:
+    ros = to_ros(m.Picture(1.0, "left", np.zeros((2, 2, 3), np.uint8)), of_ros2("sensor_msgs/Image"))
+
+    image = from_ros(m.Picture, ros).image
+    image[0, 0] = 255
+
+    assert from_ros(m.Picture, ros).image.max() == 0

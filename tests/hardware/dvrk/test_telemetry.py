@@ -73,6 +73,26 @@ def test_a_clock_that_is_set_back_makes_all_data_late():
     assert not line.fresh()
 
 
+def test_a_clock_that_is_set_ahead_makes_all_data_invalid_until_it_is_set_right():
+    line = Line()
+    line.run(0.5)
+
+    line.run(1.0, late=-5.0)
+
+    assert not line.fresh() and "set ahead by 5.0 s" in line.stream.sample().problem
+    line.run(0.01)
+    assert line.fresh()
+
+
+def test_first_messages_that_waited_for_long_are_no_clock_that_was_set():
+    line = Line()
+
+    line.run(0.1, late=3.0)
+    line.run(0.3)
+
+    assert line.fresh()
+
+
 def test_silence_is_stale():
     line = Line()
     line.run(0.5)
@@ -118,6 +138,29 @@ def test_since_when_the_numbers_stand_still_is_told():
     line.run(0.4, x=1.0)
 
     assert line.stream.sample().unchanged_since == pytest.approx(moved + 0.01)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_numbers_that_never_stood_still_are_known_as_noisy_and_those_of_a_motion_are_not(moves: bool):
+    rng = np.random.default_rng(0)
+    line = Line()
+    for k in range(200):
+        line.run(0.01, x=1e-4 * k if moves else 1e-6 * rng.normal())
+    assert line.stream.sample().noisy is not moves
+
+    line.run(0.5, x=1.0)  # frozen, or at rest
+
+    assert line.stream.sample().noisy is not moves
+
+
+def test_numbers_that_flicker_now_and_then_are_not_noisy():
+    rng = np.random.default_rng(0)
+    line = Line()
+
+    for _ in range(300):
+        line.run(0.01, x=1e-6 * (rng.random() > 0.7))
+
+    assert not line.stream.sample().noisy
 
 
 def test_figures_tell_rate_gaps_losses_and_delays():

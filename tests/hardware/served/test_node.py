@@ -156,3 +156,11 @@ def test_publishing_costs_a_fraction_of_the_time_that_it_lasts(robot):
     robot.go(1.0)
 
     assert time.process_time() - began < 1.0
+
+
+def test_the_second_arm_holds_the_instrument_that_is_asked_for(tmp_path):
+    config = write_site(StubBench(scene(), 0), tmp_path, cutter="CURVED_SCISSORS:400178")
+
+    assert config.cutter.instrument.jaw_upper > 1.3
+    with pytest.raises(InputError, match="HAMMER:1"):
+        write_site(StubBench(scene(), 0), tmp_path, cutter="HAMMER:1")
