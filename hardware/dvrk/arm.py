@@ -111,7 +111,7 @@ class ArmDVRK:
         known, now = self._known, self._now()
         state = known.readings.state
         if state is None:
-            return ArmState(OperatingState.DISABLED, False, False, -math.inf, f"{self._arm.name} has not told its state")
+            return ArmState(OperatingState.DISABLED, False, False, -math.inf, f"{self._arm.called} has not told its state")
         message = state.message
         named = message.state in OperatingState.__members__
         value = OperatingState(message.state) if named else OperatingState.DISABLED
@@ -154,7 +154,7 @@ class ArmDVRK:
             now = self._now()
             reason = self._why_not(now) or unreachable(self._arm, self._frames, self._topics.read(), [pose])
             if self._jaw.moving or self._waiting:
-                reason = f"the jaw of {self._arm.name} moves: the arm moves only while its jaw stands still"
+                reason = f"the jaw of {self._arm.called} moves: the arm moves only while its jaw stands still"
             if reason:
                 self._judge.refuse(reason, now)
                 return
@@ -266,10 +266,10 @@ class ArmDVRK:
         """Code and sentence of what ends a motion."""
         state = "UNKNOWN" if readings.state is None else readings.state.message.state
         if not guard.ok and state != OperatingState.FAULT:
-            return guard.code, f"{self._arm.name}: {guard.message}"
+            return guard.code, f"{self._arm.called}: {guard.message}"
         said = self._topics.said_since(self._commanded_at)
         code = Code.ARM_FAULT if state == OperatingState.FAULT else Code.ARM_NOT_READY
-        return code, f"{self._arm.name} is {state.lower()}" + (f": {said}" if said else "")
+        return code, f"{self._arm.called} is {state.lower()}" + (f": {said}" if said else "")
 
     def _verdict_of(self, readings: ArmReadings, guard: Verdict) -> Verdict:
         if guard.ok and self._ready(readings):
@@ -291,9 +291,9 @@ class ArmDVRK:
         """Why no motion may begin now; "" when one may."""
         guard = self._guard(now)
         if not guard.ok:
-            return f"{self._arm.name}: {guard.message}"
+            return f"{self._arm.called}: {guard.message}"
         if not self._ready(self._topics.read()):
-            return f"{self._arm.name} is not enabled, homed and engaged"
+            return f"{self._arm.called} is not enabled, homed and engaged"
         return ""
 
     # ------------------------------------------------------------ sending

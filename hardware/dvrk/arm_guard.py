@@ -130,13 +130,13 @@ class ArmGuard:
     def _unrest(self, readings: ArmReadings) -> str:
         """Why the arm is not quiet, "" when it is."""
         if readings.busy or self._tip.moving or self._jaw.moving or not self._tip.sent.settled:
-            return f"{self._arm.name} has not come to rest"
+            return f"{self._arm.called} has not come to rest"
         return must.stands_beside(readings, self._config.tolerances, self._arm.name) or self._jaw.unrest(readings)
 
     def _remember(self, verdict: Verdict) -> Verdict:
         if not verdict.ok and verdict.latched:
             self._latched = verdict
-            log.error("%s: %s", self._arm.name, verdict.message)
+            log.error("%s: %s", self._arm.called, verdict.message)
         return verdict
 
     def _not_ours(self) -> None:

@@ -249,7 +249,7 @@ class BenchDVRK:
         for role, eye in self.hand_eyes.items():
             days = eye.age(self._wall) / 86400.0
             age = f"{days:.0f} days old" if days >= 2.0 else f"{days * 24.0:.0f} hours old" if days >= 0.0 else "of unknown age"
-            said.append(f"{self._arms[role].config.name} hand-eye {age}")
+            said.append(f"{self._arms[role].config.called} hand-eye {age}")
         return ", ".join(said)
 
     def figures(self) -> dict[str, Any]:

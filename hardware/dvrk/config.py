@@ -108,7 +108,7 @@ class ConsoleConfig(_Checked):
     """Who else may move the arms, and what must stand still for the calibration to hold."""
 
     system: str = _named("system")  # namespace of power and homing; "console" before dVRK 2.4
-    console: str = _named("console")  # namespace of operator presence and teleoperation
+    console: str = _named("console", optional=True)  # namespace of operator and teleoperation; nothing: none
     teleops: tuple[str, ...] = ("MTMR_PSM1", "MTML_PSM2")  # teleoperation components, none of which may be following
     operator_presence: bool = True  # True: somebody must be at the console while arms move
     endoscope_arm: str = _named("", optional=True)  # CRTK name of the arm that holds the endoscope; nothing: a fixed mount
@@ -121,6 +121,8 @@ class ConsoleConfig(_Checked):
         for name in self.teleops:
             if not NAME.fullmatch(name):
                 raise InputError(f"teleops holds {name!r}; it must hold names of teleoperation components, such as MTMR_PSM1")
+        if self.operator_presence and not self.console:
+            raise InputError("operator_presence is true without a console to tell it; name the console, or set it to false")
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,13 @@ class Console:
         def pedal(topic: str) -> Event[m.Joy]:
             return Event(transport, name(topic), m.Joy, epoch)
 
-        self._teleops = [says(f"{console.console}/teleop/enabled"), *(says(f"{teleop}/following") for teleop in console.teleops)]
-        self._operator = pedal(f"{console.console}/operator_present")
-        self._clutches = [pedal(f"{console.console}/clutch"), pedal(f"{console.console}/camera")]
+        self._teleops = [says(f"{teleop}/following") for teleop in console.teleops]
+        self._operator: Event[m.Joy] | None = None
+        self._clutches: list[Event[m.Joy]] = []
+        if console.console:
+            self._teleops.insert(0, says(f"{console.console}/teleop/enabled"))
+            self._operator = pedal(f"{console.console}/operator_present")
+            self._clutches = [pedal(f"{console.console}/clutch"), pedal(f"{console.console}/camera")]
         self._stop = pedal(console.emergency_stop) if console.emergency_stop else None
         self._mounts: dict[str, Stream[m.PoseStamped]] = {}
         if console.endoscope_arm:
@@ -41,10 +45,10 @@ class Console:
 
     def read(self) -> ConsoleReadings:
         """The console as last heard of."""
-        operator = self._operator.newest()
+        operator = self._operator
         return ConsoleReadings(
             {event.topic: None if (newest := event.newest()) is None else newest.message.data for event in self._teleops},
-            None if operator is None or self._operator.sources() == 0 else pressed(operator),
+            None if operator is None or operator.newest() is None or operator.sources() == 0 else pressed(operator.newest()),
             {event.topic: pressed(event.newest()) for event in self._clutches},
         )
 
@@ -70,7 +74,7 @@ class Console:
     def missing(self) -> list[str]:
         """Topics that the configuration names and nobody publishes."""
         wanted: list[Event[m.Joy] | Event[m.Bool] | Stream[m.PoseStamped]] = [*self._mounts.values(), *self._teleops]
-        if self._config.console.operator_presence:
+        if self._operator is not None and self._config.console.operator_presence:
             wanted.append(self._operator)
         if self._stop is not None:
             wanted.append(self._stop)

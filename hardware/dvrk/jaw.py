@@ -107,7 +107,7 @@ class Jaw:
             measured_near=self._near(measured, goal),
             stamp=readings.jaw.good.taken,
         )
-        name = f"the jaw of {self._arm.name}"
+        name = f"the jaw of {self._arm.called}"
         motion = follow(motion, look, name, self._config.rates.busy_within, self._config.tolerances.samples)
         self._motion = (motion, move, goal)
         if motion.report.status is MoveStatus.RUNNING:
@@ -138,11 +138,11 @@ class Jaw:
     def unrest(self, readings: ArmReadings) -> str:
         """Why the jaw at rest is not where the robot wants it, "" where it is."""
         if readings.jaw.good is None or readings.jaw_setpoint.good is None:
-            return f"the jaw of {self._arm.name} does not say where it is"
+            return f"the jaw of {self._arm.called} does not say where it is"
         measured, told = (float(one.good.message.position[0]) for one in (readings.jaw, readings.jaw_setpoint) if one.good)
         if self._near(measured, told):
             return ""
-        return f"the jaw of {self._arm.name} stands at {math.degrees(measured):.0f} degrees, its setpoint at {math.degrees(told):.0f}"
+        return f"the jaw of {self._arm.called} stands at {math.degrees(measured):.0f} degrees, its setpoint at {math.degrees(told):.0f}"
 
     def _near(self, measured: float, goal: float) -> bool:
         """Whether the jaw is where it was sent; a closing is over where the jaws meet, or the tissue between them."""
@@ -199,7 +199,7 @@ class EnergyTip:
         if applied:
             move.end(Code.OK)
         else:
-            move.end(Code.MOVE_NOT_REACHED, f"no energy was applied at {self._arm.name}")
+            move.end(Code.MOVE_NOT_REACHED, f"no energy was applied at {self._arm.called}")
         return Ended(Code.OK)
 
     def stop(self, code: Code, message: str) -> None:

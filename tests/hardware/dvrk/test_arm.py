@@ -357,7 +357,7 @@ def test_6_the_arm_is_not_servoed_while_the_jaw_moves(rig: Rig):
 
     rig.bench.advance(0.02)
     assert robot(rig).count_of("servo_cp") == 0
-    assert "jaw of PSM2 moves" in arm.operating_state().guard.message
+    assert "jaw of cutter (PSM2) moves" in arm.operating_state().guard.message
 
 
 def test_6_a_motion_of_the_arm_waits_until_the_jaw_stands_still(rig: Rig):

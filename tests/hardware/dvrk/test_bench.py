@@ -464,7 +464,7 @@ def test_the_age_of_the_calibration_is_told(tmp_path):
     written = (tmp_path / "PSM1-registration-open-cv.json").stat().st_mtime
     bench = BenchDVRK(rig.config, rig.graph.node("b"), wait=rig.wait, wall=written + 3 * 86400 + 10, threaded=False)
 
-    assert "PSM1 hand-eye 3 days old" in bench.calibration()
+    assert "grasper (PSM1) hand-eye 3 days old" in bench.calibration()
 
 
 # ------------------------------------------------------------ doctor and energy

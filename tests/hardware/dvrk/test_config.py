@@ -124,6 +124,7 @@ def test_a_cautery_may_cut(tmp_path: Path) -> None:
         ("top", 'camera = "stereo"', r"camera must be a table of keys, not 'stereo'"),
         ("rest", '[console]\noperator_presence = "yes"', r"console: operator_presence must be true or false, not 'yes'"),
         ("rest", "[console]\noperator_presence = 1", r"operator_presence must be true or false, not 1"),
+        ("rest", '[console]\nconsole = ""', r"operator_presence is true without a console to tell it"),
         ("rest", "[console]\nteleops = 'MTMR_PSM1'", r"teleops must be a list, not 'MTMR_PSM1'"),
         ("rest", "[console]\nteleops = [1]", r"teleops must be text in quotes, not 1"),
         ("rest", "[rates]\nservo = 100.0", r"rates: the key 'servo' is unknown"),
