@@ -119,9 +119,12 @@ def test_a_straight_pull_judged_by_the_papers_rule_is_on_record_with_what_was_ex
     assert result.exposure == record.header["exposure"] == "naive"
     assert [record.header[key] for key in ("rule", "cover", "tracker")] == ["elongation", "greedy", "lk"]
     assert not record.topic(topics.EXPOSURE)
-    (pull,) = (entry.payload for entry in record.topic(topics.EXPOSED))
-    assert "planned" not in pull
-    assert len(pull["tension"]) == len(pull["forecast"]["separation"]) == pull["steps"] > 0
+    # Where the first look leaves too much unknown there is a second one.
+    pulls = [entry.payload for entry in record.topic(topics.EXPOSED)]
+    assert 1 <= len(pulls) <= 2
+    for pull in pulls:
+        assert "planned" not in pull
+        assert len(pull["tension"]) == len(pull["forecast"]["separation"]) == pull["steps"] > 0
 
 
 def test_the_record_of_a_session_names_no_folder_of_this_machine(ran):
