@@ -122,9 +122,8 @@ def test_a_straight_pull_judged_by_the_papers_rule_is_on_record_with_what_was_ex
     # Where the first look leaves too much unknown there is a second one.
     pulls = [entry.payload for entry in record.topic(topics.EXPOSED)]
     assert 1 <= len(pulls) <= 2
-    for pull in pulls:
-        assert "planned" not in pull
-        assert len(pull["tension"]) == len(pull["forecast"]["separation"]) == pull["steps"] > 0
+    assert all("planned" not in pull and len(pull["tension"]) == pull["steps"] > 0 for pull in pulls)
+    assert len(pulls[0]["forecast"]["separation"]) == pulls[0]["steps"]
 
 
 def test_the_record_of_a_session_names_no_folder_of_this_machine(ran):
