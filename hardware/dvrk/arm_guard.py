@@ -44,10 +44,8 @@ class ArmGuard:
         self.obedience = Obedience()
         self._first_base: Array | None = None
         self._jitter = 0.0  # [m], of the base
-        self._late, self._said = (
-            False,
-            "",
-        )  # whether the setpoint was behind since it was last at rest, and what the robot said to it
+        self._late = False  # the setpoint was behind since it was last at rest,
+        self._said = ""  # and what the robot said to it
         self._latched: Verdict | None = None
         self._refused: tuple[float, Verdict] = (-math.inf, must.FINE)
 
@@ -107,7 +105,7 @@ class ArmGuard:
 
     def _followed(self, readings: ArmReadings, commanded_at: float) -> list[Verdict]:
         """Whether setpoints are where they were sent, and the tip beside its own."""
-        setpoint, settled = self._setpoint(), self._tip.sent.settled
+        setpoint, was_settled = self._setpoint(), self._tip.sent.settled
         obeys = self._tip.sent.judge(setpoint.value, setpoint.stamp, self._jitter)
         if obeys.code in (Code.MOVE_REJECTED, Code.NOT_OBEYED):
             self._said = self._topics.said_since(commanded_at) or self._said
@@ -118,7 +116,7 @@ class ArmGuard:
                 self.obedience.failed(Part.SETPOINT, obeys.code, message)
         elif self._tip.sent.settled:
             self._said = ""
-            if not settled and not self._late:
+            if not was_settled and not self._late:
                 self.obedience.obeyed(Part.SETPOINT)
             self._late = False
         return [
@@ -131,7 +129,7 @@ class ArmGuard:
         """Why the arm is not quiet, "" when it is."""
         if readings.busy or self._tip.moving or self._jaw.moving or not self._tip.sent.settled:
             return f"{self._arm.called} has not come to rest"
-        return must.stands_beside(readings, self._config.tolerances, self._arm.name) or self._jaw.unrest(readings)
+        return must.stands_beside(readings, self._config.tolerances, self._arm.called) or self._jaw.unrest(readings)
 
     def _remember(self, verdict: Verdict) -> Verdict:
         if not verdict.ok and verdict.latched:
