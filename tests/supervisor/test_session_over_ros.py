@@ -21,7 +21,6 @@ from supervisor.reading import read
 from supervisor.run import RunOptions, RunResult, prepare, run
 from supervisor.skillset import ExposureKind
 from tests.mocks.ros_master import ros_is_missing, running_master
-from tests.mocks.slow_motion import SharedTime
 
 SEED = 3
 # Small, and without what makes a session fail now and then: arms that are off, tissue that is tougher here and there.
@@ -65,6 +64,9 @@ def in_process(scene: Path, folder: Path) -> RunResult:
 
 def over_ros(scene: Path, folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """What the session says of itself, and the truth."""
+    # It needs ROS when it is imported.
+    from tests.mocks.slow_motion import SharedTime
+
     site, told, clock = folder / "site", folder / "result.json", folder / "clock"
     SharedTime.create(clock)
     start = ("-m", "tests.mocks.slow_motion", str(clock))
