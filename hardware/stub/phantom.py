@@ -181,10 +181,8 @@ class Phantom:
         worst = int(np.argmax(stretch))
         if stretch[worst] < self.scene.tissue.tear_stretch:
             return 0
-        a, b = self.mesh.rest[self._topology.edges[worst]]
-        middle, along = (a + b) / 2, b - a
-        across = np.array([-along[1], along[0]]) * 1.1
-        ends = [self._crack_end(middle, middle + side * across) for side in (-1.0, 1.0)]
+        middle, reach = crack_across(self.mesh.rest[self._topology.edges[worst]], float(gauge[worst]))
+        ends = [self._crack_end(middle, end) for end in reach]
         self.cut([(np.stack([ends[0], middle, ends[1]]), 1.0)], torn=True)
         self.tears += 1
         return 1
@@ -292,6 +290,17 @@ class Phantom:
             )
         if len(grip.vertices) < 3:
             self.grip = None
+
+
+def crack_across(edge: Array, gauge: float) -> tuple[Array, Array]:
+    """Middle (2,) of the overstretched `edge` (2, 2) in rest coordinates [m], and the two points (2, 2) that its crack goes for.
+
+    The crack is as long as the `gauge` over which the stretch was read: one only as long as a very short edge would leave still
+    shorter ones, and those would tear without end.
+    """
+    along = edge[1] - edge[0]
+    middle, normal = edge.mean(axis=0), np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    return middle, middle + 1.1 * gauge * normal * np.array([[-1.0], [1.0]])
 
 
 def _f32(values: Array) -> NDArray[np.float32]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hardware.interface import Pose
-from hardware.stub.phantom import Phantom
+from hardware.stub.phantom import Phantom, crack_across
 from hardware.stub.scene import Scene, load_scene
 from hardware.stub.sheet_solver import bed_height
 from hardware.stub.truth import measure, pieces
@@ -169,6 +169,16 @@ def test_an_overstretched_attachment_tears_and_is_counted_apart_from_cuts(scene)
     assert truth.tears > 0
     assert in_the_middle == []
     assert any(edge.torn for edge in phantom.mesh.cut_edges)
+
+
+@pytest.mark.parametrize("length", [1e-9, 1e-6, 1e-4, 0.64e-3, 0.8e-3, 2e-3])
+def test_a_crack_is_as_long_as_the_length_over_which_the_stretch_was_read(length):
+    edge = np.array([[1e-3, 2e-3], [1e-3, 2e-3]]) + length * np.array([[0.0, 0.0], [0.6, 0.8]])
+    middle, ends = crack_across(edge, max(length, 0.64e-3))
+
+    assert middle == pytest.approx(edge.mean(axis=0))
+    assert np.linalg.norm(ends - middle, axis=1) == pytest.approx(1.1 * max(length, 0.64e-3))
+    assert (ends - middle) @ np.array([0.6, 0.8]) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_ligament_left_by_a_partial_cut_holds_at_first_and_tears_when_pulled_apart(scene):
