@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array, Image
+from skills.tracking.median import median
 
 LEVEL_WINDOW = 7  # edges, of the running median of how bright the tissue at their ends was at t_d
 STILL_AS_BRIGHT = 0.8  # of that, times what became of the light: what is darker has come to lie in the opening
@@ -161,11 +162,12 @@ def _profiles(brightness: NDArray[np.uint8], points: Array, edges: NDArray[np.in
         return _Profiles(inside, np.zeros((0, 0), np.float32), level, length)
     count = max(config.least_samples, int(np.ceil(length[inside].max() / config.sample)))
     t = (np.arange(count) + 0.5) / count
-    at = (a[inside][:, None] + t[None, :, None] * (b - a)[inside][:, None]).astype(np.float32)
-    rows = np.asarray(cv2.remap(brightness, at[..., 0], at[..., 1], cv2.INTER_LINEAR), dtype=np.float32)
-    reach = np.minimum(config.end, config.longest_end / np.maximum(length[inside], 1e-9))[:, None]
+    first, along, places = a[inside].astype(np.float32), (b - a)[inside].astype(np.float32), t.astype(np.float32)
+    u, v = (first[:, k, None] + places * along[:, k, None] for k in (0, 1))
+    rows = np.asarray(cv2.remap(brightness, u, v, cv2.INTER_LINEAR), dtype=np.float32)
+    reach = np.minimum(config.end, config.longest_end / np.maximum(length[inside], 1e-9))
     # Sorted with what is beyond the reach behind everything else, the median of an end is its middle value.
-    count_in = np.maximum((t[None] <= np.maximum(reach, t[0])).sum(axis=1), 1)
+    count_in = np.maximum(np.searchsorted(t, reach, side="right"), 1)
     level[inside] = np.minimum(_median_of_first(rows, count_in), _median_of_first(rows[:, ::-1], count_in))
     return _Profiles(inside, rows, level, length)
 
@@ -215,7 +217,7 @@ def _pass_under(mask: NDArray[np.bool_], ends: Array) -> NDArray[np.bool_]:
     along = np.nan_to_num(ends[:, 1], nan=-1.0).astype(np.float32) - first
     u, v = (first[:, k, None] + t * along[:, k, None] for k in (0, 1))
     # Beyond the picture nothing hides.
-    return np.asarray((cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST) != 0).any(axis=1))
+    return np.asarray((cv2.remap(mask.view(np.uint8), u, v, cv2.INTER_NEAREST) != 0).any(axis=1))
 
 
 def _longest_run(dark: NDArray[np.bool_]) -> Array:
@@ -243,4 +245,4 @@ def _running_median(values: Array, window: int) -> Array:
 def _typical(values: Array) -> float:
     """Their median; nan when none is known."""
     known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
+    return float(median(known)) if len(known) else float("nan")

@@ -22,14 +22,16 @@ from skills.tracking.flow import Field, Flow, FlowBox, box_around, cut_out, samp
 from skills.tracking.hidden import Mask
 from skills.tracking.picture import Picture
 
-COARSE = 4  # [px]: the field is smooth, so it is smoothed on every fourth pixel
+SPACING = 2  # [px]: dense flow is no finer, so the field is kept at the middle of every two by two pixels,
+COARSE = 4  # [px] and it is smooth, so it is smoothed on every fourth
+BESIDE = np.ones((9, 9), np.uint8)  # places around each one that a patch of the flow there may cover
 
 
 @dataclass(frozen=True)
 class AnchorConfig:
     """Settings of an `Anchor`. Lengths in pixels, likeness as correlation -1..1."""
 
-    margin: float = 20.0  # of the reference around the points
+    margin: float = 14.0  # of the reference around the points
     radius: int = 6  # of the patches that are compared
     noise: float = 6.0  # [grey levels] of even pictures: less than this is not texture
     smoothing: float = 4.0  # of the field where it is not fully trusted; if nothing is around, from farther away
@@ -49,7 +51,7 @@ class AnchorConfig:
 
 @dataclass(frozen=True)
 class _Patched:
-    """A picture, and mean and variance of the patch around each pixel: (H, W) each."""
+    """A picture, and mean and variance of the patch around each of its places: (H, W) each."""
 
     grey: NDArray[np.float32]
     mean: NDArray[np.float32]
@@ -66,22 +68,24 @@ class Anchor:
         self._flow = flow
         self._config = config
         height, width = picture.even.shape
-        self._box = box_around(points[mine & usable], config.margin, (width, height))
-        u0, v0, u1, v1 = self._box
-        u, v = np.meshgrid(np.arange(u0, u1), np.arange(v0, v1))
-        self._pixels = u.astype(np.float32), v.astype(np.float32)
+        u0, v0, u1, v1 = box_around(points[mine & usable], config.margin, (width, height))
+        box = u0, v0, u1 - (u1 - u0) % COARSE, v1 - (v1 - v0) % COARSE
+        self._pixels = _places(np.arange(box[0], box[2]), np.arange(box[1], box[3]))
+        self._middles = self._pixels[::SPACING, ::SPACING] + np.float32((SPACING - 1) / 2)
+        rows, columns = self._middles.shape[:2]
+        self._grid = _places(np.arange(columns), np.arange(rows))
         known = np.flatnonzero(np.isfinite(points).all(axis=1))
-        _, nearest = cKDTree(points[known]).query(np.column_stack([u.ravel(), v.ravel()]))
-        self._own = mine[known[nearest]].reshape(u.shape)
-        if tool_mask is not None:
-            self._own &= ~tool_mask[v0:v1, u0:u1]
-        self._seen = self._own  # and not under a tool now
-        self._sees = cut_out(flow.sees(picture), self._box)
-        self._patches = _patched(cut_out(picture.even, self._box), config.radius)
-        self._field: Field = np.zeros((*u.shape, 2), np.float32)
+        _, nearest = cKDTree(points[known]).query(self._middles.reshape(-1, 2))
+        self._field: Field = np.zeros_like(self._middles)
         self._before = self._field
+        self._own = mine[known[nearest]].reshape(rows, columns)
+        if tool_mask is not None:
+            self._own &= ~self._under(tool_mask, self._field)
+        self._seen = self._own  # and not under a tool now
+        self._sees = cut_out(flow.sees(picture), box)
+        self._patches = _patched(_read(picture.even, self._middles), config.radius)
         self._points = points[mine]
-        self._at = self._points - [u0, v0]
+        self._at = (self._points - self._middles[0, 0]) / SPACING
 
     def follow(self, new: Picture, step: FlowBox, moved: Array, found: Mask, tool_mask: Mask | None) -> tuple[Array, Array]:
         """Follow the reference into `new`: where its points are now (M, 2), and how alike the picture is there (M,) -1..1.
@@ -117,66 +121,78 @@ class Anchor:
 
     def _chained(self, step: FlowBox, tool_mask: Mask | None) -> Field:
         """Move the field on by the flow from the frame before; what a tool hides goes with what is seen around it, not with the tool."""
-        u, v = self._pixels
-        u0, v0 = step.corner.astype(np.float32)
         before = self._field
-        moves = _read(step.field, u + before[..., 0] - u0, v + before[..., 1] - v0)
+        moves = _read(step.field, self._middles + before - step.corner.astype(np.float32))
         seen = self._seen if tool_mask is None else self._seen & ~self._under(tool_mask, before + moves)
         if (seen != self._own).any():
+            # Flow is blurred: beside a tool it is partly the tool's.
+            seen = self._own & (cv2.dilate((self._own & ~seen).view(np.uint8), BESIDE) == 0)
             trust = np.where(seen, 1.0, 1e-6).astype(np.float32)
             moves = _filled(np.where(seen[..., None], moves, np.float32(0.0)), trust, self._config.smoothing)
         return np.asarray(before + moves)
 
     def _under(self, tool_mask: Mask, field: Field) -> Mask:
         """Where (H, W) the reference, moved by `field`, lies under a tool."""
-        u, v = self._pixels
-        return np.asarray(cv2.remap(tool_mask.astype(np.uint8), u + field[..., 0], v + field[..., 1], cv2.INTER_NEAREST) != 0)
+        u, v = cv2.split(self._middles + field)
+        return np.asarray(cv2.remap(tool_mask.view(np.uint8), u, v, cv2.INTER_NEAREST) != 0)
 
     def _settled(
         self, new: Picture, field: Field, tool_mask: Mask | None, flow: Callable[[Image, Image], Field]
     ) -> tuple[Field, Array]:
         """Correct `field` (H, W, 2) by `flow` so that the reference fits the new picture; give it, and the points' likeness (M,)."""
         c = self._config
-        u, v = self._pixels
         own = self._seen = self._own if tool_mask is None else self._own & ~self._under(tool_mask, field)
-        back = _read(self._flow.sees(new), u + field[..., 0], v + field[..., 1])
+        size = self._pixels.shape[1::-1]
+        back = _read(self._flow.sees(new), self._pixels + cv2.resize(field, size, interpolation=cv2.INTER_LINEAR))
         # What is not this side's tissue is shown as the reference has it: there, nothing pulls.
-        back = np.where(own if back.ndim == 2 else own[..., None], back, self._sees)
-        rest = flow(self._sees, back)
-        u0, v0 = self._box[:2]
-        field = rest + _read(field, u - u0 + rest[..., 0], v - v0 + rest[..., 1])
-        even = _read(new.even, u + field[..., 0], v + field[..., 1])
+        other = cv2.resize((~own).view(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        rest = flow(self._sees, np.asarray(cv2.copyTo(self._sees, other, back), dtype=np.uint8))
+        rest = np.asarray(cv2.resize(rest, field.shape[1::-1], interpolation=cv2.INTER_AREA), dtype=np.float32)
+        field = rest + _read(field, self._grid + rest / np.float32(SPACING))
+        even = _read(new.even, self._middles + field)
         alike = _likeness(self._patches, even, c.radius, c.noise)
         trust = np.clip((alike - c.doubtful) / (c.certain - c.doubtful), 1e-3, 1.0)
         trust = np.where(own, trust, 1e-6).astype(np.float32)
         return _filled(field, trust, c.smoothing), sampled(np.where(own, alike, 0.0), self._at)
 
 
-def _read(picture: NDArray[Any], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[Any]:
+def _places(u: NDArray[np.int64], v: NDArray[np.int64]) -> Field:
+    """Every (u, v): (len(v), len(u), 2)."""
+    return np.stack(np.meshgrid(u, v), axis=-1).astype(np.float32)
+
+
+def _read(picture: NDArray[Any], at: Field) -> NDArray[Any]:
+    u, v = cv2.split(at)
     return np.asarray(cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _patched(picture: NDArray[np.uint8], radius: int) -> _Patched:
-    """The picture with what is asked of the patches around each of its pixels."""
-    x, size = picture.astype(np.float32), (2 * radius + 1, 2 * radius + 1)
+    """The picture, seen at every `SPACING`, with what is asked of the patches of `radius` [px] around each place."""
+    x, size = picture.astype(np.float32), _side(radius)
     mean = cv2.blur(x, size)
     return _Patched(x, np.asarray(mean), np.asarray(np.maximum(cv2.blur(x * x, size) - mean * mean, 0.0)))
 
 
 def _likeness(a: _Patched, picture: NDArray[np.uint8], radius: int, noise: float) -> NDArray[np.float32]:
-    """How alike (H, W) the patches around each pixel of two pictures are: `patches.same`, everywhere at once."""
-    b, size = _patched(picture, radius), (2 * radius + 1, 2 * radius + 1)
+    """How alike (H, W) the patches around each place of two pictures are: `patches.same`, everywhere at once."""
+    b, size = _patched(picture, radius), _side(radius)
     together = cv2.blur(a.grey * b.grey, size) - a.mean * b.mean
     return np.asarray(2.0 * (together + noise**2) / (a.variance + b.variance + 2.0 * noise**2))
+
+
+def _side(radius: int) -> tuple[int, int]:
+    """Places that a patch of `radius` [px] is wide and high."""
+    side = 2 * (radius // SPACING) + 1
+    return side, side
 
 
 def _filled(field: Field, trust: NDArray[np.float32], smoothing: float) -> Field:
     """Keep `field` (H, W, 2) as far as it is to be trusted, 0..1 (H, W), and fill it smoothly from around for the rest.
 
-    Where nothing near is trusted it is filled from as far as four times `smoothing` [px].
+    It is given at every `SPACING`. Where nothing near is trusted it is filled from as far as four times `smoothing` [px].
     """
     height, width = trust.shape
-    size = (max(1, width // COARSE), max(1, height // COARSE))
+    size = width * SPACING // COARSE, height * SPACING // COARSE
     weights = cv2.resize(trust, size, interpolation=cv2.INTER_AREA)
     both = cv2.merge([trust, trust])
     values = cv2.resize(field * both, size, interpolation=cv2.INTER_AREA)

@@ -40,7 +40,9 @@ class TrackerFlow(TrackerStepwise):
         box = box_around(alive, self.config.margin, (width, height))
         a, b = (cut_out(self._flow.sees(picture), box) for picture in (self._picture, new))
         corner = np.array(box[:2], dtype=np.float64)
-        self._step, back = FlowBox(corner, self._flow.flow(a, b)), FlowBox(corner, self._flow.check(b, a))
+        # The anchor takes out what a quick flow leaves.
+        forth = self._flow.flow if self.config.anchor is None else self._flow.near
+        self._step, back = FlowBox(corner, forth(a, b)), FlowBox(corner, self._flow.check(b, a))
         step = self._step.at(self._points)
         moved = self._points + step
         return moved, np.linalg.norm(step + back.at(moved), axis=1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from hardware.interface import Array, Image
+from skills.tracking.median import median
 from skills.tracking.patches import Patches, patches_at, texture
 
 Mask = NDArray[np.bool_]
@@ -44,7 +45,7 @@ def with_neighbours(before: Array, moved: Array, asked: Mask, seen: Mask, groups
             result[mine] = before[mine]
             continue
         nearest = near[np.argsort(cdist(before[mine], before[near]), axis=1, kind="stable")[:, :neighbours]]
-        result[mine] = before[mine] + np.median(steps[nearest], axis=1)
+        result[mine] = before[mine] + median(steps[nearest], axis=1)
     return result
 
 
@@ -80,7 +81,7 @@ def find_again(
         k = waiting[i]
         near = np.flatnonzero(seen)
         near = near[np.argsort(apart[i, near], kind="stable")[:ALONG]]
-        moved[k] = before[k] + np.median(moved[near] - before[near], axis=0)
+        moved[k] = before[k] + median(moved[near] - before[near])
         from_seen[i] = np.inf
         if not _open_to_view(grey, moved[k], tool_mask):
             continue
@@ -107,7 +108,11 @@ def covered(points: Array, mask: Mask | None) -> Mask:
 
 
 def _open_to_view(grey: Image, point: Array, tool_mask: Mask | None) -> bool:
-    return bool(inside(point[None], grey)[0] and not covered(point[None], tool_mask)[0])
+    """`inside` and not `covered`, for a single point: asked often."""
+    (height, width), (u, v) = grey.shape, point
+    if not (1 <= u <= width - 2 and 1 <= v <= height - 2):
+        return False
+    return tool_mask is None or not tool_mask[round(v), round(u)]
 
 
 def _search(grey: Image, at: Array, patch: NDArray[np.float32], textured: bool, config: HiddenConfig) -> tuple[Array, float]:

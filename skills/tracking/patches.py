@@ -14,12 +14,13 @@ Patches = NDArray[np.float32]
 def patches_at(gray: Image, points: Array, radius: int) -> Patches:
     """Cut the patches (N, S, S) float32, S = 2 `radius` + 1, around `points` (N, 2), bilinear."""
     side = np.arange(-radius, radius + 1, dtype=np.float32)
-    u = points[:, 0].astype(np.float32)[:, None, None] + side[None, None, :]
-    v = points[:, 1].astype(np.float32)[:, None, None] + side[None, :, None]
     size = len(side)
-    u, v = (np.ascontiguousarray(np.broadcast_to(x, (len(points), size, size)).reshape(-1, size)) for x in (u, v))
     if not len(points):
         return np.zeros((0, size, size), np.float32)
+    u = points[:, 0].astype(np.float32)[:, None, None] + side[None, None, :]
+    v = points[:, 1].astype(np.float32)[:, None, None] + side[None, :, None]
+    # A patch in each row: OpenCV is slow on many short rows.
+    u, v = (np.broadcast_to(x, (len(points), size, size)).reshape(len(points), -1) for x in (u, v))
     # OpenCV's remap takes at most 32767 rows; more points than that go in pieces.
     rows = 32000
     cut = [

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array
+from skills.tracking.median import median
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def smooth_row(
 def _off(residual: Array, trusted: NDArray[np.bool_], config: RowConfig) -> Array:
     """Residuals (M, 2) as multiples (M,) of what is tolerated; the scale comes from the trusted ones."""
     size = np.linalg.norm(residual, axis=1)
-    scale = 1.4826 * float(np.median(size[trusted])) if trusted.any() else 0.0
+    scale = 1.4826 * float(median(size[trusted])) if trusted.any() else 0.0
     return np.asarray(size / max(config.min_tolerance, config.tolerance * scale))
 
 
@@ -57,7 +58,7 @@ def _running_median(values: Array, usable: NDArray[np.bool_], window: int) -> Ar
     places = np.flatnonzero(usable)
     away = np.abs(places[None, :] - np.arange(len(values))[:, None])
     near = places[np.argsort(away, axis=1, kind="stable")[:, :window]]
-    return np.asarray(np.median(values[near], axis=1))
+    return median(values[near], axis=1)
 
 
 def _whittaker(values: Array, weights: Array, config: RowConfig) -> Array:
