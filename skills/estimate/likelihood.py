@@ -1,9 +1,10 @@
 """How likely each edge is severed, from everything seen while the tissue was pulled, against what the tissue model expected of it.
 
 A fixed threshold on length calls a stretched attachment severed, and a severed edge that opened little connected. Here three things are
-weighed. What opened along the edge: an attachment opens nothing, a half cut only a groove, and the bed shows through a full cut alone. Its
-length after every step of the pull, against the length that the model expected of a severed edge and of a strand left alone in its place.
-And whether the two agree: what became long without opening has been mistracked.
+weighed. What opened along the edge: an attachment opens nothing, a half cut only a groove, which what is left of the tissue holds narrower
+than the cut that the model expected, and the bed shows through a full cut alone. Its length after every step of the pull, against the
+length that the model expected of a severed edge and of a strand left alone in its place. And whether the two agree: what became long
+without opening has been mistracked.
 
 The weights are those of a logistic regression on the stub bench, so the probabilities are calibrated there (docs/experiments.md says on
 which seeds). An edge whose ends are hidden for long is unknown, unless it was seen to part before: what has parted does not heal.
@@ -12,7 +13,7 @@ which seeds). An edge whose ends are hidden for long is unknown, unless it was s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +30,12 @@ from skills.expose.outcome import Forecast
 class Weights:
     """Of the evidence, in nats; what is not known adds nothing."""
 
-    bias: float = 0.97
-    parted: float = 1.9  # of an opening of `wide` pixels or more, in proportion below
-    bed: float = 2.5  # of the bed seen through it, `wide` pixels or more, in proportion below
-    groove: float = -1.9  # of an opening that should show the bed by now, were it a full cut's, and does not
-    shorter: float = 1.2  # per nat of the lengths' log-likelihood ratio where it speaks for connected, and no bed is seen
-    longer: float = 1.2  # and where it speaks for severed, if an opening is seen;
+    bias: float = 0.6
+    parted: float = 1.3  # of an opening of `wide` pixels or more, in proportion below; less where a cut would have opened more
+    excess: float = 2.4  # of an opening that is wider than a cut's, where no bed is seen: what holds together opens less
+    bed: float = 3.2  # of the bed seen through it, `wide` pixels or more, in proportion below
+    shorter: float = 0.75  # per nat of the lengths' log-likelihood ratio where it speaks for connected, and no bed is seen
+    longer: float = 0.8  # and where it speaks for severed, if an opening is seen;
     longer_whole: float = 0.45  # if none is, a keypoint has rather been mistracked
     elsewhere: float = -6.0  # edges that do not cross the goal are seldom cut
 
@@ -44,8 +45,8 @@ class LikelihoodConfig:
     """When an edge is called severed or connected, and how well lengths are measured and expected."""
 
     weights: Weights = Weights()
-    severed: float = 0.96  # probability from which an edge is called severed
-    connected: float = 0.25  # up to which it is called connected; between the two it is unknown
+    severed: float = 0.95  # probability from which an edge is called severed
+    connected: float = 0.35  # up to which it is called connected; between the two it is unknown
     min_confidence: float = 0.2  # of both ends' tracks
     max_unknown: float = 0.5  # share of the edges across the goal
     pixel_error: float = 1.5  # [px], standard deviation of a tracked edge's length
@@ -54,37 +55,37 @@ class LikelihoodConfig:
     even: float = 2.0  # and the elongation that speaks for neither there
     most: float = 3.0  # nats that lengths may speak for either; beyond it the model, not the tissue, is wrong
     wide: float = 2.0  # [px] of an opening that is no noise
-    hides_bed: float = 3.0  # [px] of an expected opening through which the bed is not seen yet,
-    shows_bed: float = 8.0  # and through which it is
+    slight: float = 1.0  # [px] of an opening, seen or expected, that is compared with none narrower
     lately: float = 0.3  # share of the looks, the last ones: an edge whose ends were not seen together since is unknown,
     often: float = 0.6  # and so is one that was seen in fewer looks than this share;
     beside: float = 0.4  # share of the looks, whichever, that is enough beside the goal, where a pull cuts nothing
-    healed: float = 2.0  # [px] of bed seen after which an edge stays severed when its ends are hidden later
+    healed: float = 2.0  # [px] of bed, or of an opening wide enough by itself, after which an edge that is hidden stays severed
 
     def __post_init__(self) -> None:
         if not 0 <= self.connected < 0.5 < self.severed <= 1:
             raise ValueError("an edge must be called connected below one half and severed above it")
-        positive = (self.pixel_error, self.even, self.steepness, self.most, self.wide, self.healed, self.hides_bed)
-        if not (all(value > 0 for value in positive) and self.model_error >= 0 and self.shows_bed > self.hides_bed):
-            raise ValueError("errors, widths and what lengths may say must be positive, and the bed shows after it is hidden")
+        positive = (self.pixel_error, self.even, self.steepness, self.most, self.wide, self.slight, self.healed)
+        if not (all(value > 0 for value in positive) and self.model_error >= 0):
+            raise ValueError("errors, widths and what lengths may say must be positive")
         if not all(0 <= share <= 1 for share in (self.min_confidence, self.max_unknown, self.lately, self.often, self.beside)):
             raise ValueError("confidence and shares must lie between 0 and 1")
-        if self.weights.groove < -self.weights.parted:
-            raise ValueError("a groove may not speak more for connected than tissue in which nothing opened")
+        if not (self.weights.parted >= 0 and 0 <= self.weights.excess <= self.weights.bed):
+            raise ValueError("an opening may speak no more for connected than none, and none more for severed than the bed")
 
 
 @dataclass(frozen=True)
 class Evidence:
     """What was seen and expected of each edge, (E,) each; nan where it is not known.
 
-    `parted` and `bed` [px] are the widest opening seen along it and the bed seen through it, `expected` [px] the widest opening that a
-    severed edge would have shown by now, `length` the mean over the looks of the log-likelihood ratio of its length (above 0: severed),
-    `ratio` the elongation when both ends were last seen, `seen` whether that was lately (across the goal), and often enough.
+    `parted` and `bed` [px] are the widest opening seen along it and the bed seen through it, `excess` how much wider it opened there than
+    a severed edge would have by now, as a log ratio between -1 and 1 (0 where nothing opened or was expected), `length` the mean over the
+    looks of the log-likelihood ratio of its length (above 0: severed), each weighing as many as its step, `ratio` the elongation when
+    both ends were last seen, `seen` whether that was lately (across the goal), and often enough.
     """
 
     parted: Array
     bed: Array
-    expected: Array
+    excess: Array
     length: Array
     ratio: Array
     seen: NDArray[np.bool_]
@@ -103,13 +104,13 @@ def evidence(
         expected[e] = np.fmax.reduce(forecast.gap, axis=0)
         before = np.minimum(lengths(reference, grid.edges[e]), grid.closed_length)
         last = len(forecast.gap) - 1
-        terms = []
+        terms, steps = [], [look.step for look in looks if look.step >= 1]
         for look, (rho, _) in zip(looks, measured, strict=True):
             if look.step >= 1:
                 row = min(look.step - 1, last)
                 terms.append(_log_ratio(rho[e], before, forecast.severed[row], forecast.connected[row], config))
-        length[e] = _mean(np.array(terms).reshape(-1, len(e)))
-    return Evidence(looks[-1].parted, looks[-1].bed, expected, length, ratio, seen)
+        length[e] = _mean(np.array(terms).reshape(-1, len(e)), np.array(steps, dtype=float))
+    return Evidence(looks[-1].parted, looks[-1].bed, _excess(grid, looks[-1].parted, expected, config), length, ratio, seen)
 
 
 def log_odds(found: Evidence, crosses_goal: NDArray[np.bool_], config: LikelihoodConfig | None = None) -> Array:
@@ -120,8 +121,9 @@ def log_odds(found: Evidence, crosses_goal: NDArray[np.bool_], config: Likelihoo
     unexpected = config.steepness * np.log(np.maximum(np.nan_to_num(found.ratio, nan=config.even), 1e-3) / config.even)
     length = np.clip(np.where(np.isfinite(found.length), found.length, unexpected), -config.most, config.most)
     longer = np.where(2.0 * parted >= 1.0, w.longer, w.longer_whole)
-    due = np.clip((np.nan_to_num(found.expected) - config.hides_bed) / (config.shows_bed - config.hides_bed), 0.0, 1.0)
-    opened = w.parted * parted + w.bed * bed + w.groove * parted * (1.0 - bed) * due
+    # Through what shows the bed it was cut, however wide; an opening far narrower than a cut's speaks as little as none.
+    wider, narrower = (side * (1.0 - bed) for side in (np.maximum(found.excess, 0.0), np.minimum(found.excess, 0.0)))
+    opened = parted * (w.parted * (1.0 + narrower) + w.excess * wider) + w.bed * bed
     # A keypoint beside a wide opening may be mistracked; what shows the bed was severed, whatever its length seems to be.
     shorter = w.shorter * (1.0 - bed)
     odds = w.bias + opened + np.where(length < 0, shorter, longer) * length
@@ -142,14 +144,13 @@ def estimate_connectivity(
     """
     config = config or LikelihoodConfig()
     found = evidence(grid, reference, looks, forecast, config)
-    parted = np.nan_to_num(found.bed) >= config.healed
-    known = found.seen | parted
+    known = found.seen | (np.nan_to_num(found.bed) >= config.healed)
     odds = np.clip(log_odds(found, grid.crosses_goal, config), -30.0, 30.0)
     # What is hidden now is unknown, and nothing is done on it; what is believed of it is still told by what was seen before.
     probability = 1.0 / (1.0 + np.exp(-odds))
-    called = np.where(probability >= config.severed, EdgeState.SEVERED, EdgeState.UNKNOWN)
-    called = np.where(probability <= config.connected, EdgeState.CONNECTED, called)
-    state = np.where(known, called, EdgeState.UNKNOWN).astype(np.int64)
+    severed = (probability >= config.severed) & (known | _parted_for_good(found, grid.crosses_goal, config))
+    connected = (probability <= config.connected) & known
+    state = np.where(severed, EdgeState.SEVERED, np.where(connected, EdgeState.CONNECTED, EdgeState.UNKNOWN)).astype(np.int64)
     code, message = verdict(state[grid.crosses_goal], config.max_unknown)
     return ConnectivityGraph(
         code=code,
@@ -163,6 +164,39 @@ def estimate_connectivity(
         crosses_goal=grid.crosses_goal,
         station=grid.station,
     )
+
+
+def _parted_for_good(found: Evidence, crosses_goal: NDArray[np.bool_], config: LikelihoodConfig) -> NDArray[np.bool_]:
+    """Which edges (E,) stay severed when they are hidden, though no bed was seen: by how wide they opened, which does not heal.
+
+    A length seen before they were hidden, or a sliver of the bed, adds nothing.
+    """
+    opening = replace(found, bed=np.zeros_like(found.bed), length=np.minimum(found.length, 0.0))
+    enough = log_odds(opening, crosses_goal, config) >= np.log(config.severed / (1.0 - config.severed))
+    return np.asarray((np.nan_to_num(found.parted) >= config.healed) & enough)
+
+
+def _excess(grid: Grid, parted: Array, expected: Array, config: LikelihoodConfig) -> Array:
+    """How much wider (E,) each edge across the goal opened than a severed one would have, as a log ratio between -1 and 1.
+
+    The lesser of its own and of all that opened around it, its neighbours along the goal with it: one edge alone is measured badly, and
+    a groove may begin beside tissue that gapes. `parted` and `expected` (E,) [px], nan where not known.
+    """
+    crossing = np.flatnonzero(grid.crosses_goal)
+    order = crossing[np.argsort(grid.station[crossing], kind="stable")]
+    opened = np.clip(np.nan_to_num(parted[order]) / config.wide, 0.0, 1.0)
+    seen, due = (np.maximum(np.nan_to_num(width[order]), config.slight) for width in (parted, expected))
+    around = _with_neighbours(opened * seen) / np.maximum(_with_neighbours(opened * due), 1e-9)
+    compared = (opened > 0.0) & np.isfinite(expected[order])
+    excess = np.zeros(len(parted))
+    excess[order] = np.clip(np.log(np.where(compared, np.minimum(seen / due, around), 1.0)), -1.0, 1.0)
+    return excess
+
+
+def _with_neighbours(values: Array) -> Array:
+    """Sums (C,) of each of the `values` (C,) and those next to it."""
+    padded = np.pad(values, 1)
+    return np.asarray(padded[:-2] + padded[1:-1] + padded[2:])
 
 
 def _measured(grid: Grid, reference: Array, look: Look, config: LikelihoodConfig) -> tuple[Array, NDArray[np.bool_]]:
@@ -205,9 +239,9 @@ def _log_ratio(rho: Array, before: Array, severed: Array, connected: Array, conf
     return np.asarray(np.clip(((now - if_connected) ** 2 - (now - if_severed) ** 2) / (2.0 * variance), -10.0, 10.0))
 
 
-def _mean(rows: Array) -> Array:
-    """Mean over the rows (R, C) of what is known; nan where nothing is."""
+def _mean(rows: Array, weights: Array) -> Array:
+    """Mean over the rows (R, C), of `weights` (R,), of what is known; nan where nothing is."""
     known = np.isfinite(rows)
-    count = known.sum(axis=0)
-    total = np.where(known, rows, 0.0).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    weight = (known * weights[:, None]).sum(axis=0)
+    total = (np.where(known, rows, 0.0) * weights[:, None]).sum(axis=0)
+    return np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan)
