@@ -79,6 +79,13 @@ class Steering(Protocol):
 
 
 MarkReference = Callable[[], Steps[Grid | None]]
+LeaveAt = Callable[[int], int]
+"""After which of the steps done (at least 1) the tissue should be left: the last one, or one to go back to."""
+
+
+def where_it_ends(steps: int) -> int:
+    """The `LeaveAt` that never goes back."""
+    return steps
 
 
 class Exposure:
@@ -102,8 +109,9 @@ class Exposure:
         grasped: Grasped | None,
         park: Pose,
         mark_reference: MarkReference,
+        leave_at: LeaveAt = where_it_ends,
     ) -> Steps[ExposeOutcome]:
-        """Park the scissors at `park`, relax, take the reference image (t_d), pull (to t_e)."""
+        """Park the scissors at `park`, relax, take the reference image (t_d), pull, go back to where the tissue is left (t_e)."""
         config, log = self._config, _Log()
         self.steps_done, self._begun = 0, False
         try:
@@ -119,6 +127,7 @@ class Exposure:
                 stop = Stop(Code.OK, f"pulled all {config.steps} steps", Code.EXPOSURE_STEPS_DONE)
             if stop.code is Code.OK:
                 yield from pause(lease, config.settle, "letting the tissue settle")
+                stop = yield from self._ease(lease, log, leave_at, stop)
             outcome = log.outcome(stop)
             return self._steering.report(outcome) if self._begun else outcome
         finally:
@@ -165,6 +174,20 @@ class Exposure:
         target = here.at(grasped.origin.position + out * (self._config.relaxed / distance))
         return (yield from servo_line(lease, GRASPER, target, self._config.speed, "relaxing the tissue"))
 
+    def _ease(self, lease: Lease, log: "_Log", leave_at: LeaveAt, stop: Stop) -> Steps[Stop]:
+        """Go back along the path to where the tissue is to be left."""
+        back = leave_at(log.steps) if log.steps else 0
+        if back == log.steps:
+            return stop
+        for position in log.positions[back - 1 : -1][::-1]:
+            target = lease.setpoint_cp(GRASPER).at(position)
+            report = yield from servo_line(lease, GRASPER, target, self._config.speed, f"easing back to step {back}")
+            if report.status is MoveStatus.FAILED:
+                return _failed(report.code, report.message)
+        yield from pause(lease, self._config.settle, "letting the tissue settle")
+        self.steps_done = back
+        return replace(stop, message=f"{stop.message}; eased back to step {back}, where more of what is undecided is in sight")
+
     def _step(
         self,
         lease: Lease,
@@ -206,7 +229,7 @@ class _Log:
 
     def __init__(self) -> None:
         self._stamps: list[float] = []
-        self._path: list[Array] = []
+        self.positions: list[Array] = []
         self._tension: list[float] = []
         self._strain: list[float] = []
         self.refusals = 0  # for tension, in a row
@@ -214,7 +237,7 @@ class _Log:
     def add(self, stamp: float, position: Array, tension: float, strain: float) -> None:
         """Note one step."""
         self._stamps.append(stamp)
-        self._path.append(position)
+        self.positions.append(position)
         self._tension.append(tension)
         self._strain.append(strain)
 
@@ -230,7 +253,7 @@ class _Log:
 
     def outcome(self, stop: Stop) -> ExposeOutcome:
         """Everything noted, with why it ended."""
-        path = np.array(self._path).reshape(-1, 3)
+        path = np.array(self.positions).reshape(-1, 3)
         tension, strain, stamps = np.array(self._tension), np.array(self._strain), np.array(self._stamps)
         return ExposeOutcome(stop.code, stop.message, stop.stopped_by, path, tension, strain, stamps)
 

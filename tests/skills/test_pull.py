@@ -10,7 +10,7 @@ from hardware.codes import Code
 from hardware.interface import CUTTER, GRASPER, Array, Pose
 from skills.estimate.grid import Grid, grid_around
 from skills.expose.outcome import ExposeOutcome
-from skills.expose.pull import Exposure, PullConfig, Stop
+from skills.expose.pull import Exposure, LeaveAt, PullConfig, Stop, where_it_ends
 from skills.grasp import Grasped
 from skills.skill import Progress, Steps
 from skills.tracking.tracks import TrackedGoal
@@ -70,6 +70,7 @@ class Pull:
         self.exposure = Exposure(PullConfig(**settings), self.steering)
         self.tracked: Callable[[], TrackedGoal | None] = goal
         self.grid: Grid | None = GRID
+        self.leave_at: LeaveAt = where_it_ends
         self.referenced_at: list[Array] = []  # [m], the jaws when the reference was taken
 
     def mark_reference(self) -> Steps[Grid | None]:
@@ -78,7 +79,7 @@ class Pull:
         return self.grid
 
     def run(self) -> Steps[ExposeOutcome]:
-        return self.exposure.run(self.lease, lambda: self.tracked(), self.grasped, self.park, self.mark_reference)
+        return self.exposure.run(self.lease, lambda: self.tracked(), self.grasped, self.park, self.mark_reference, self.leave_at)
 
     def finish(self) -> ExposeOutcome:
         """The outcome of the exposure, after which both arms hold."""
@@ -338,6 +339,50 @@ def test_a_steering_that_stops_midway_keeps_what_was_pulled(stop):
     assert outcome.message == f"pulled 7 of 35 steps: {stop.message} (reported)"
     assert len(outcome.path) == 7
     assert pull.exposure.steps_done == 7
+
+
+def test_tissue_that_hides_what_matters_is_eased_back_along_the_path():
+    def zigzag(number: int) -> Array:
+        return STEP if number % 2 else 0.5e-3 * np.array([-0.8, 0.0, -0.6])
+
+    pull = Pull(ScriptedSteering(zigzag), steps=8)
+    asked = []
+    pull.leave_at = lambda steps: asked.append(steps) or 3
+    outcome = pull.finish()
+
+    assert asked == [8]
+    assert (outcome.code, outcome.stopped_by, len(outcome.path)) == (Code.OK, Code.EXPOSURE_STEPS_DONE, 8)
+    assert "eased back to step 3" in outcome.message
+    assert pull.exposure.steps_done == 3
+    jaws = sent(pull.bench, GRASPER)
+    assert jaws[-1] == pytest.approx(outcome.path[2], abs=1e-9)
+    back = jaws[1 + int(np.argmin(np.linalg.norm(jaws - outcome.path[7], axis=1))) :]
+    for position in outcome.path[2:7]:
+        assert np.linalg.norm(back - position, axis=1).min() < 1e-9
+
+
+def test_an_arm_that_does_not_ease_back_is_a_failure():
+    pull = Pull(steps=8)
+
+    def sticking(steps: int) -> int:
+        stick(pull.bench, GRASPER)
+        return 3
+
+    pull.leave_at = sticking
+    outcome = pull.finish()
+
+    assert outcome.code is not Code.OK and len(outcome.path) == 8
+    assert pull.exposure.steps_done == 8
+
+
+def test_a_pull_that_failed_or_made_no_step_asks_nobody_where_to_leave_the_tissue():
+    asked = []
+    for steering in (ScriptedSteering(lambda number: NO_WAY), ScriptedSteering(lambda number: FAR_ENOUGH)):
+        pull = Pull(steering, steps=8)
+        pull.leave_at = lambda steps: asked.append(steps) or steps
+        pull.finish()
+
+    assert asked == []
 
 
 def test_a_steering_that_cannot_begin_pulls_nothing():
