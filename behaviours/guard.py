@@ -46,6 +46,8 @@ class Guard(Leaf):
         if self._once_checked and not self.board.get(CHECKLIST_PASSED):
             self.feedback_message = f"before the checklist: {verdict.message}"
             return Status.SUCCESS
+        if self.status is not Status.RUNNING:
+            self.services.tell("waiting", guard=self.name, code=verdict.code.value, message=verdict.message)
         return self.wait(f"holding: {verdict.message}")
 
 

@@ -8,11 +8,13 @@ from behaviours.services import Services
 
 
 class LookFirst(Condition):
-    """SUCCESS when the attempt was resumed after cutting had begun: then it exposes and estimates first."""
+    """SUCCESS when nothing is known that may be cut now: then the attempt exposes and estimates first."""
 
     def __init__(self, name: str, services: Services) -> None:
         super().__init__(name, services, reads=(ATTEMPT,))
 
     def holds(self) -> tuple[bool, str]:
         """Answer from the blackboard."""
-        return (False, "cutting") if self.board.get(ATTEMPT).cut else (True, "looking first, after an interruption")
+        return (
+            (False, "cutting") if self.board.get(ATTEMPT).cut else (True, "looking first: nothing is known that may be cut now")
+        )

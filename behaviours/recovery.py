@@ -9,7 +9,7 @@ class Recovery(Enum):
     """What to do next."""
 
     LOOK = "expose and estimate anyway"
-    RETRY = "grasp and cut anew in the next attempt"
+    RETRY = "begin the next attempt"
     END = "end the attempts"
 
 
@@ -43,6 +43,8 @@ _TABLE = {
     # Without tissue in the jaws nothing can be exposed; dissecting grasps anew.
     Code.GRASP_EMPTY: Recovery.RETRY,
     Code.GRASP_SLIPPED: Recovery.RETRY,
+    # What is left was not seen, or not within reach as the tissue lay; the next attempt looks first, and cuts nothing before.
+    Code.NO_CANDIDATE: Recovery.RETRY,
 }
 
 

@@ -20,6 +20,7 @@ LOG = "/log"
 # What the behaviours note
 APPROVAL = "/approval"  # asked, approved, refused or void
 RECOVERY = "/recovery"
+WAITING = "/waiting"  # a guard holds everything until a condition passes
 INTERRUPTION = "/interruption"
 PLAN = "/plan"  # the corrective segments
 EXPOSED = "/exposed"  # how a pull went and why it ended; with the controller, what it expected of it
@@ -58,6 +59,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
         {"event": TEXT, "kind": TEXT, "goal_id": TEXT, "by": TEXT, "frame_sequence": INTEGER, "reason": TEXT},
     ),
     RECOVERY: ("dissect.Recovery", {"step": TEXT, "code": TEXT, "recovery": TEXT}),
+    WAITING: ("dissect.Waiting", {"guard": TEXT, "code": TEXT, "message": TEXT}),
     INTERRUPTION: ("dissect.Interruption", {"count": INTEGER}),
     PLAN: (
         "dissect.Plan",

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from py_trees.behaviours import StatusQueue
 from py_trees.common import Status
 
@@ -64,14 +65,15 @@ def test_a_failure_is_the_verdict_and_the_tools_may_still_be_lifted() -> None:
     assert verdict() is Code.NOT_APPROVED
 
 
-def test_a_lost_grasp_is_tried_again_while_attempts_are_left() -> None:
+@pytest.mark.parametrize("code", [Code.GRASP_SLIPPED, Code.GRASP_EMPTY, Code.NO_CANDIDATE])
+def test_what_another_attempt_may_mend_is_tried_again_while_attempts_are_left(code: Code) -> None:
     stage = attempting(2, Status.FAILURE)
-    failed(Code.GRASP_SLIPPED)
+    failed(code)
 
     assert stage.tick() is Status.RUNNING
     put(ATTEMPT, Attempt(3, True, 0))
     assert stage.tick() is Status.SUCCESS
-    assert verdict() is Code.GRASP_SLIPPED
+    assert verdict() is code
 
 
 def test_without_feedback_the_last_attempt_is_unverified() -> None:
@@ -85,7 +87,7 @@ def test_without_feedback_the_last_attempt_is_unverified() -> None:
 
 def test_the_verdict_stays_and_ends_the_approval() -> None:
     stage = attempting(1, Status.FAILURE)
-    failed(Code.NO_CANDIDATE)
+    failed(Code.NOT_APPROVED)
     stage.gate.approve(Approval("goal", "the operator", 0, 0.0, 10.0))
     stage.tick()
     assert stage.gate.approval is None
@@ -94,7 +96,7 @@ def test_the_verdict_stays_and_ends_the_approval() -> None:
     stage.root.stop(Status.INVALID)
 
     assert stage.tick() is Status.SUCCESS
-    assert read(VERDICT) == SessionOutcome(Code.NO_CANDIDATE, "why")
+    assert read(VERDICT) == SessionOutcome(Code.NOT_APPROVED, "why")
     assert len(stage.noted("verdict")) == 1
 
 

@@ -6,9 +6,25 @@ import pytest
 from py_trees.common import Status
 
 from behaviours.begin_attempt import BeginAttempt
-from behaviours.board import ATTEMPT, CUTTING_BEGAN, INTERRUPTIONS, VERDICT, Attempt, Step, read, result_of
+from behaviours.board import (
+    ATTEMPT,
+    CUTTING_BEGAN,
+    ESTIMATE,
+    INTERRUPTIONS,
+    PLAN,
+    VERDICT,
+    Attempt,
+    Estimate,
+    Plan,
+    Step,
+    read,
+    result_of,
+)
 from behaviours.session_outcome import SessionOutcome
 from hardware.codes import Code
+from skills.estimate.graph import EdgeState
+from skills.replan.next_goal import NextGoal
+from tests.mocks.skills import SEGMENTS, graph
 from tests.mocks.stage import Stage, put
 
 
@@ -59,6 +75,32 @@ def test_an_attempt_after_a_resumed_one_counts_and_cuts_again() -> None:
     stage.tick()
 
     assert read(ATTEMPT) == Attempt(2, True, 1)
+
+
+def test_an_attempt_after_one_that_could_plan_nothing_looks_first() -> None:
+    stage = beginning()
+    stage.tick()
+    put(ESTIMATE, Estimate(graph(EdgeState.UNKNOWN), 1, 0))
+
+    stage.tick()
+    assert read(ATTEMPT) == Attempt(2, False, 0)
+    assert stage.root.feedback_message == "attempt 2 of 3 begun, looking first"
+    assert stage.noted("attempt")[-1] == {"number": 2, "limit": 3, "resumed": False, "cut": False}
+
+    # The next one has an older estimate: the one before ended without looking.
+    stage.tick()
+    assert read(ATTEMPT) == Attempt(3, True, 0)
+
+
+def test_an_attempt_after_one_that_made_a_plan_cuts() -> None:
+    stage = beginning()
+    stage.tick()
+    put(ESTIMATE, Estimate(graph(EdgeState.CONNECTED), 1, 0))
+    put(PLAN, Plan(NextGoal(Code.OK, "1 segment", SEGMENTS, ((0,),)), None, 0))
+
+    stage.tick()
+
+    assert read(ATTEMPT) == Attempt(2, True, 0)
 
 
 def test_resuming_before_anything_was_cut_cuts() -> None:

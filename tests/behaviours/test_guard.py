@@ -36,6 +36,16 @@ def test_a_passing_condition_is_waited_for_with_its_reason() -> None:
     assert stage.tick() is Status.SUCCESS
 
 
+def test_each_wait_is_noted_once_with_its_code() -> None:
+    stage = guarding(PASSING, PASSING, FINE, PASSING, PASSING, PASSING)
+
+    for _ in range(6):
+        stage.tick()
+
+    told = {"guard": "a guard", "code": "camera_stale", "message": "the newest image is 300 ms old"}
+    assert stage.noted("waiting") == [told, told]
+
+
 def test_a_latched_condition_trips_the_gate_with_its_code() -> None:
     stage = guarding(LATCHED)
 

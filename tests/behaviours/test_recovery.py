@@ -26,6 +26,7 @@ def test_after_what_only_a_person_can_clear_nothing_is_tried(code: Code) -> None
 
 def test_a_lost_grasp_is_taken_anew_and_an_unfinished_cut_is_looked_at() -> None:
     assert recovery(Code.GRASP_SLIPPED) is Recovery.RETRY
+    assert recovery(Code.NO_CANDIDATE) is Recovery.RETRY
     assert recovery(Code.STEP_TOO_LONG) is Recovery.LOOK
 
 
