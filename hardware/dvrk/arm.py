@@ -32,6 +32,7 @@ from hardware.dvrk.moves import Move, refused
 from hardware.dvrk.obedience import Part
 from hardware.dvrk.reach import unreachable
 from hardware.dvrk.streaming import waypoints
+from hardware.dvrk.tare import Tare
 from hardware.dvrk.telemetry import Sample, TopicFigures
 from hardware.dvrk.tip import TipStream
 from hardware.dvrk.transport import Publisher, Transport
@@ -85,12 +86,13 @@ class ArmDVRK:
         self._hold = transport.publisher(f"{namespace}/hold", m.Empty)
         self._command = transport.publisher(f"{namespace}/state_command", m.StringStamped, queue=10)
         self._ratio = transport.publisher(f"{namespace}/trajectory_j/set_ratio", m.Float64)
+        turns = transport.publisher(f"{namespace}/jaw/move_jp", m.JointState) if arm.instrument.has_jaw else None
+        self._turns = turns
         self._jaw: Jaw | EnergyTip = (
-            Jaw(transport.publisher(f"{namespace}/jaw/move_jp", m.JointState), self._topics, arm, config, role == GRASPER)
-            if arm.instrument.has_jaw
-            else EnergyTip(arm, energy)
+            EnergyTip(arm, energy) if turns is None else Jaw(turns, self._topics, arm, config, role == GRASPER)
         )
         self._tip = TipStream(self._publish, config, arm.name)
+        self.tare = Tare(arm.called, config.tolerances.force_at_rest)
         self._waiting: tuple[Callable[[Move], None], Move] | None = None  # of tip or jaw, until the other's motion is over
         self._judge = ArmGuard(config, arm, self._topics, self._tip, self._jaw, self._setpoint, outside)
         self._paused = False
@@ -142,7 +144,11 @@ class ArmDVRK:
         return Stamped(*self._jaw.measured(self._topics.read()))
 
     def measured_cf(self) -> Stamped[Array]:
-        """Force on the tip (3,) [N] by motor currents: an estimate with friction and weight in it, no force sensor."""
+        """Force on the tip (3,) [N] by motor currents: an estimate with friction in it, no force sensor. The grasper's is tared."""
+        raw = self._raw_force()
+        return Stamped(self.tare.corrected(raw.value), raw.stamp)
+
+    def _raw_force(self) -> Stamped[Array]:
         force, local = self._topics.force.sample().good, self._topics.local.sample().good
         if force is None or local is None:
             return Stamped(np.full(3, np.nan), -math.inf)
@@ -158,6 +164,7 @@ class ArmDVRK:
             if reason:
                 self._judge.refuse(reason, now)
                 return
+            self.tare.close()
             if not self._tip.moving:
                 self._commanded_at = now
             self._tip.servo(pose, self.setpoint_cp(), now)
@@ -189,6 +196,9 @@ class ArmDVRK:
             readings = self._topics.read()
             self._keep_ratio(readings, now)
             guard = self._judge.judge(readings, now, self._commanded_at)
+            if self._role == GRASPER and guard.ok and self._ready(readings) and not readings.busy:
+                self.tare.look(self._raw_force(), self.measured_cp(), self.measured_jaw().value)
+                guard = self.tare.verdict()
             self._known = Known(readings, guard, now)
             if guard.code is Code.FOREIGN_MOTION and self._opened():
                 self._fend_off(guard)
@@ -216,16 +226,16 @@ class ArmDVRK:
     def missing(self) -> list[str]:
         """Topics of the arm that nobody publishes, and commands that nobody hears."""
         namespace = self._config.topic(self._arm.name)
-        deaf: list[tuple[Publisher[Any], str]] = [
-            (self._servo, "servo_cp"),
-            (self._hold, "hold"),
-            (self._command, "state_command"),
-            (self._ratio, "set_ratio"),
-        ]
-        return [
-            *self._topics.missing(),
-            *(f"{namespace}/{name} (nobody listens)" for link, name in deaf if link.listeners() == 0),
-        ]
+        links: dict[str, Publisher[Any]] = {
+            "servo_cp": self._servo,
+            "hold": self._hold,
+            "state_command": self._command,
+            "trajectory_j/set_ratio": self._ratio,
+        }
+        if self._turns is not None:
+            links["jaw/move_jp"] = self._turns
+        deaf = [f"{namespace}/{name} (nobody listens)" for name, link in links.items() if link.listeners() == 0]
+        return [*self._topics.missing(), *deaf]
 
     @property
     def driven_by_others(self) -> bool:
@@ -306,6 +316,7 @@ class ArmDVRK:
         with self._lock:
             if reason := self._why_not(self._now()):
                 return refused(reason)
+            self.tare.close()
             self._forget_waiting(Code.MOVE_NOT_REACHED, "another command took this motion's place")
             move = Move()
             if other.moving:

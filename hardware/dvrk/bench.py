@@ -253,7 +253,10 @@ class BenchDVRK:
         return ", ".join(said)
 
     def figures(self) -> dict[str, Any]:
-        """Rates [Hz], delays [s], lost and invalid messages of each topic, and how evenly the monitor looked: for the record."""
+        """Rates [Hz], delays [s], lost and invalid messages of each topic, and how evenly the monitor looked: for the record.
+
+        `force_at_rest` (3,) [N], left camera frame, is what was taken off the grasper's force; None: it was not found.
+        """
         topics: list[TopicFigures] = [*self._endoscope.figures()]
         for arm in self._arms.values():
             topics += arm.figures()
@@ -267,6 +270,7 @@ class BenchDVRK:
                 "longest_gap": self._longest_look,
             },
             "late_ticks": self._late,
+            "force_at_rest": self._arms[GRASPER].tare.at_rest,
         }
 
     # ------------------------------------------------------------ inside

@@ -134,6 +134,8 @@ class ToleranceConfig(_Checked):
     rotation: float = _within(0.05, 5e-3, 0.2)  # [rad]
     jaw: float = _within(0.10, 0.01, 0.35)  # [rad]
     samples: int = field(default=3, metadata={"low": 1, "high": 50})
+    # [N], what the grasper may tell at rest with its jaws open; it is taken off. More: it touches something
+    force_at_rest: float = _within(2.0, 0.1, 10.0)
     # Setpoint to measured while moving: more is a fault. The robot itself allows 5 cm and 30 degrees.
     tracking: float = _within(5.0e-3, 1e-3, 2e-2)  # [m]
     tracking_rotation: float = _within(0.25, 0.02, 0.6)  # [rad]

@@ -11,6 +11,7 @@ It goes from watching to holding when the heartbeat stops, when an arm is in FAU
 appears, when the ROS master is gone (connections between nodes outlive it), and from anywhere when it is asked. It stops holding only
 when it is armed anew while none of this is so. `hold` is a software stop. It is no replacement of the emergency stop.
 
+    python -m hardware.dvrk.deadman --config robot.toml
     python -m hardware.dvrk.deadman /PSM1 /PSM2
 """
 
@@ -24,7 +25,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
+from hardware.codes import InputError
 from hardware.dvrk.choose_transport import KINDS, make_transport
 from hardware.dvrk.messages import Empty, Float64, OperatingState, String
 from hardware.dvrk.transport import Transport, TransportError
@@ -36,6 +39,7 @@ ARM = f"/{NAME}/arm"  # Empty: watch from now on
 DISARM = f"/{NAME}/disarm"  # Empty: stop watching; ignored while holding
 HOLD = f"/{NAME}/hold"  # Empty: hold both arms
 
+DEFAULT_ARMS = ("/PSM1", "/PSM2")
 IDLE, WATCHING, HOLDING = "idle", "watching", "holding"
 
 BUDGET = 0.1  # [s] without a heartbeat, after which the arms are held
@@ -139,27 +143,39 @@ class Deadman:
         return hear
 
 
+def _configured(file: Path) -> tuple[list[str], str]:
+    """Namespaces of the arms, and the transport, as a session is told them."""
+    from hardware.dvrk.config import load_robot
+
+    robot = load_robot(file)
+    return [robot.topic(arm.name) for arm in robot.arms], robot.transport
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Watch until interrupted; hold both arms once more on the way out, unless idle."""
     parser = argparse.ArgumentParser(
         prog="python -m hardware.dvrk.deadman", description="Hold both arms when the supervisor dies."
     )
-    parser.add_argument(
-        "arms", nargs="*", default=["/PSM1", "/PSM2"], help="namespaces of the arms; /PSM1 /PSM2 if none is given"
-    )
-    parser.add_argument("--transport", choices=KINDS, default="ros1")
+    parser.add_argument("arms", nargs="*", help="namespaces of the arms; /PSM1 /PSM2 if none is given")
+    parser.add_argument("--config", type=Path, help="the session's robot.toml, which names arms, prefix and transport")
+    parser.add_argument("--transport", choices=KINDS, help="ros1 if none is given")
     parser.add_argument("--budget", type=float, default=BUDGET, help="seconds without a heartbeat until the arms are held")
     options = parser.parse_args(arguments)
     if not 0.02 < options.budget <= 1.0:
         parser.error(f"--budget is {options.budget:g} s; choose more than 0.02 s (one heartbeat) and at most 1 s")
+    if options.config and (options.arms or options.transport):
+        parser.error("--config names arms and transport; give either it or them")
     logging.basicConfig(format="%(asctime)s deadman: %(message)s")
     try:
-        transport = make_transport(options.transport, NAME)
-    except TransportError as error:
+        arms, kind = (
+            _configured(options.config) if options.config else (options.arms or DEFAULT_ARMS, options.transport or "ros1")
+        )
+        transport = make_transport(kind, NAME)
+    except (InputError, TransportError) as error:
         print(error, file=sys.stderr)
         return 1
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    deadman = Deadman(transport, options.arms, options.budget)
+    deadman = Deadman(transport, arms, options.budget)
     try:
         while True:
             deadman.look()

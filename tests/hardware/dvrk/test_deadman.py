@@ -1,14 +1,18 @@
 """The deadman holds both arms whenever the supervisor cannot, and only then."""
 
 import signal
+from pathlib import Path
 
 import pytest
 
 from benchmarks.deadman import Trial
-from hardware.dvrk.deadman import ARM, BUDGET, DISARM, HEARTBEAT, HOLD, Deadman
+from hardware.dvrk.deadman import ARM, BUDGET, DISARM, HEARTBEAT, HOLD, Deadman, main
 from hardware.dvrk.heartbeat import DEAD_AFTER, Heartbeat
-from hardware.dvrk.local import LocalGraph
+from hardware.dvrk.local import LocalGraph, LocalTransport
 from hardware.dvrk.messages import Empty, Float64, OperatingState
+from hardware.served.site import ROBOT, write_site
+from hardware.stub.bench import StubBench
+from hardware.stub.scene import load_scene
 from tests.mocks.ros_master import RosMaster
 
 ARMS = ("/PSM1", "/PSM2")
@@ -273,6 +277,61 @@ def test_the_heart_beats_at_fifty_hertz_when_called_at_a_hundred() -> None:
         robot.supervisor.beat()
 
     assert beats == [float(count) for count in range(1, 51)]
+
+
+# ------------------------------------------------------------ what it is told
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[str, ...]]]:
+    """What each deadman that was started watches, by which transport; it is interrupted at its first look."""
+    told: list[tuple[str, tuple[str, ...]]] = []
+    kinds: list[str] = []
+
+    def make(kind: str, name: str) -> LocalTransport:
+        kinds.append(kind)
+        return LocalGraph(lambda: 0.0).node(name)
+
+    def interrupted(deadman: Deadman) -> None:
+        told.append((kinds[-1], tuple(deadman._holds)))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hardware.dvrk.deadman.make_transport", make)
+    monkeypatch.setattr(Deadman, "look", interrupted)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    return told
+
+
+def test_it_watches_the_arms_of_the_sessions_own_configuration(started, tmp_path: Path) -> None:
+    config = write_site(StubBench(load_scene("silicone"), 0), tmp_path, transport="ros2", prefix="/dvrk")
+
+    assert main(["--config", str(tmp_path / ROBOT)]) == 0
+
+    assert started == [("ros2", tuple(config.topic(arm.name) for arm in config.arms))] == [("ros2", ("/dvrk/PSM1", "/dvrk/PSM2"))]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "arms"),
+    [([], "ros1", ARMS), (["/a/PSM1", "/a/PSM3", "--transport", "ros2"], "ros2", ("/a/PSM1", "/a/PSM3"))],
+)
+def test_without_a_configuration_it_watches_the_arms_that_are_named(started, arguments, kind, arms) -> None:
+    assert main(arguments) == 0
+
+    assert started == [(kind, arms)]
+
+
+@pytest.mark.parametrize("beside", [["/PSM1", "/PSM2"], ["--transport", "ros1"]])
+def test_a_configuration_and_arms_by_name_may_contradict_each_other_and_are_refused(started, tmp_path: Path, beside) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", str(tmp_path / ROBOT), *beside])
+
+    assert ended.value.code == 2 and not started
+
+
+def test_a_configuration_that_is_not_there_is_said_and_nothing_is_watched(started, tmp_path: Path, capsys) -> None:
+    assert main(["--config", str(tmp_path / "missing.toml")]) == 1
+
+    assert "missing.toml" in capsys.readouterr().err and not started
 
 
 # ------------------------------------------------------------ on a real graph
