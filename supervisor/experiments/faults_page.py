@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from supervisor.experiments.faults_whole_page import whole_page
+
 # Faults that do no harm where nobody noticed them, and why to hold would be wrong.
 NO_TRAJECTORY = (
     "only a motion that the robot makes by itself, here that of the jaw, can be hindered; in these phases none is under way, "
@@ -39,8 +41,9 @@ python -m supervisor.experiments.faults --json faults.json --markdown docs/fault
 ```
 
 in which the real driver, safety gate, tree and deadman work over a graph within one process, with bench time only, so the figures are the
-same each time. The session is light: the motions are those of the skills, under the same lease, but the tissue's place is known, nothing
-is looked at, and the test of the grasp is left out. It is led to a phase and split there, so each fault befalls the same moment.
+same each time. A session is led to a phase and split there, so each fault befalls the same moment. It is done twice: with a light
+session, whose motions are those of the skills, under the same lease, but the tissue's place is known, nothing is looked at, and the
+test of the grasp is left out; and with a [whole one](#whole-sessions), which is recorded, and its record read back.
 **None of this ran on a robot**, and a network and a busy computer come on top; [dvrk.md](dvrk.md) has what was measured over real
 processes.
 
@@ -84,8 +87,8 @@ TAKES: Mapping[str, str] = {
 }
 
 
-def page(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The page in Markdown."""
+def page(rows: Sequence[Mapping[str, Any]], whole: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The page in Markdown: of light sessions, `rows`, and of whole ones."""
     noticed = [row for row in rows if row["noticed"] is not None]
     bad = [row for row in rows if row["verdict"] == "not held"]
     parts = [HEAD, "## Summary", "", *_summary(rows), "", "## Not held", ""]
@@ -123,6 +126,8 @@ def page(rows: Sequence[Mapping[str, Any]]) -> str:
     parts += ["", "## Not noticed", "", *_reasons(rows, "not noticed", REASONS)]
     for phase in dict.fromkeys(row["phase"] for row in rows):
         parts += ["", f"## {phase.capitalize()}", "", *_table([row for row in rows if row["phase"] == phase])]
+    if whole:
+        parts += ["", *whole_page(rows, whole)]
     return "\n".join(parts) + "\n"
 
 

@@ -17,7 +17,7 @@ import py_trees
 from behaviours.services import Services, SkillSet
 from hardware.dvrk import messages as m
 from hardware.dvrk.bench import BenchDVRK
-from hardware.dvrk.config import RobotConfig
+from hardware.dvrk.config import RobotConfig, SpeedConfig
 from hardware.dvrk.deadman import NAME as DEADMAN
 from hardware.dvrk.deadman import Deadman
 from hardware.dvrk.local import LocalGraph, LocalTransport
@@ -28,7 +28,7 @@ from hardware.limits import Limits
 from hardware.served.impostor import STEP as STRANGE_STEP
 from hardware.served.impostor import Impostor
 from hardware.served.node import ServedBench, Serving
-from hardware.served.site import write_site
+from hardware.served.site import SCISSORS, write_site
 from hardware.stub.bench import StubBench
 from hardware.stub.endoscope import StubEndoscope
 from hardware.stub.scene import Scene, load_scene
@@ -75,6 +75,19 @@ class EmptyPictures:
     def stereo(self) -> StereoFrame:
         """A black pair."""
         return StereoFrame(Frame(0, self._now(), self._image), self._image)
+
+
+class OneEyeAfterTheOther:
+    """The stub's endoscope, without a thread for the second eye: a process that is to be split has none."""
+
+    def __init__(self, endoscope: StubEndoscope) -> None:
+        self._endoscope = endoscope
+        self.camera: CameraModel = endoscope.camera
+
+    def stereo(self) -> StereoFrame:
+        """The same pair."""
+        self._endoscope.left()
+        return self._endoscope.stereo()
 
 
 class Master:
@@ -131,15 +144,26 @@ class Stranger:
 class Robot:
     """The served stub, driver and deadman on one graph, and everything that is commanded on it, `heard`.
 
-    `blind`: its pictures are empty. Whoever makes the gate sets `gate`.
+    `blind`: its pictures are empty. PSM2 holds `cutter`. Whoever makes the gate sets `gate`.
     """
 
-    def __init__(self, folder: Path, shown: Scene, blind: bool, serving: Serving | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        shown: Scene,
+        blind: bool,
+        serving: Serving | None = None,
+        cutter: str = SCISSORS,
+        speeds: SpeedConfig | None = None,
+    ) -> None:
         self.stub = StubBench(shown, 0)
         self.goal = drawn_goal(self.stub)
-        if blind:
-            self.stub.endoscope = cast(StubEndoscope, EmptyPictures(self.stub.endoscope.camera, self.stub.now))
-        self.config = write_site(self.stub, folder)
+        seen = self.stub.endoscope
+        shows = EmptyPictures(seen.camera, self.stub.now) if blind else OneEyeAfterTheOther(seen)
+        self.stub.endoscope = cast(StubEndoscope, shows)
+        self.config = write_site(self.stub, folder, cutter=cutter)
+        if speeds is not None:
+            self.config = replace(self.config, speeds=speeds)
         self.graph, self.master = LocalGraph(self.stub.now), Master()
         self.heard: list[Heard] = []
         self.gate: SafetyGate | None = None
@@ -221,8 +245,30 @@ class Doing(SkillSet, Protocol):
     begun: int
 
 
-class Staged(Robot):
-    """One session. `tick` lets it go on by one tick; `decisions` are those of the gate, `notes` what goes into the record."""
+class Watched(Robot):
+    """A session on that robot, as those see it who watch it; `decisions` are those of its gate, `notes` what its behaviours told."""
+
+    decisions: list[Decision]
+    notes: list[tuple[float, str, dict[str, Any]]]
+
+    @property
+    def doing(self) -> tuple[str, float]:
+        """What is under way, and since when [s]."""
+        raise NotImplementedError
+
+    @property
+    def begun(self) -> int:
+        """How many skills that move the arms have begun."""
+        raise NotImplementedError
+
+    @property
+    def ended(self) -> bool:
+        """Whether the tree has come to its end."""
+        raise NotImplementedError
+
+
+class Staged(Watched):
+    """One session. `tick` lets it go on by one tick."""
 
     def __init__(
         self,
@@ -234,8 +280,7 @@ class Staged(Robot):
         serving: Serving | None = None,
     ) -> None:
         super().__init__(folder, shown, blind, serving)
-        self.decisions: list[Decision] = []
-        self.notes: list[tuple[float, str, dict[str, Any]]] = []
+        self.decisions, self.notes = [], []
         gate = self.gate = SafetyGate(self.bench, Limits(), self.decisions.append)
         self.skills = make(self, gate)
         py_trees.blackboard.Blackboard.clear()
@@ -250,6 +295,16 @@ class Staged(Robot):
                 max_attempts=attempts,
             )
         )
+
+    @property
+    def doing(self) -> tuple[str, float]:
+        """As the skills say."""
+        return self.skills.doing
+
+    @property
+    def begun(self) -> int:
+        """As the skills say."""
+        return self.skills.begun
 
     @property
     def ended(self) -> bool:

@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 from hardware.served.faults import Fault as Served
-from supervisor.experiments.faults import FAULTS, Fault, Graph, Patience, Phase, Row, run_all
+from supervisor.experiments.faults import run_all
+from supervisor.experiments.faults_cases import FAULTS, Fault, Graph, Phase
 from supervisor.experiments.faults_page import TOLERATED, page
+from supervisor.experiments.faults_watch import Patience, Row
 
 LATCHED = {
     Served.FRAME_ID: ("setup_changed", Phase.APPROACH),

@@ -1,0 +1,67 @@
+"""What can go wrong with a robot, and when in a session: the cases of the fault experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+from hardware.served.faults import OF_ROBOT
+from hardware.served.faults import Fault as Served
+from supervisor.experiments.faults_skills import ESTIMATING, RETRACTING, SNIPPING
+from supervisor.experiments.faults_stand import Robot
+
+
+class Phase(StrEnum):
+    """Where in a session."""
+
+    APPROACH = "approach"
+    GRASP = "grasp"
+    RETRACT = "retract"
+    CUT = "cut"
+    EXPOSE = "expose"
+    ESTIMATE = "estimate"
+
+
+class Graph(StrEnum):
+    """Faults that need more than the served robot."""
+
+    MASTER_GONE = "master_gone"  # connections outlive it
+    DUPLICATE_PUBLISHER = "duplicate_publisher"  # a second node reports for the arm
+    FOREIGN_COMMANDS = "foreign_commands"  # a second node commands it
+    DEADMAN_GONE = "deadman_gone"
+
+
+Fault = Served | Graph
+Moments = Mapping[Phase, tuple[str, float, str]]
+FAULTS: tuple[Fault, ...] = (*Served, *Graph)
+# What a skill does in a phase, how long into it the fault comes [s], and the arm at work.
+MOMENTS: Moments = {
+    Phase.APPROACH: ("lowering the grasper", 0.4, "PSM1"),
+    Phase.GRASP: ("closing the grasper", 0.4, "PSM1"),
+    Phase.RETRACT: (RETRACTING, 0.4, "PSM1"),
+    Phase.CUT: (SNIPPING, 0.3, "PSM2"),
+    Phase.EXPOSE: ("exposing: step 3", 0.1, "PSM1"),
+    Phase.ESTIMATE: (ESTIMATING, 0.3, "PSM1"),
+}
+
+
+def inject(stand: Robot, fault: Fault, arm: str) -> None:
+    """Let `fault` happen on `arm`, or on the whole robot where it is no arm's."""
+    if isinstance(fault, Served):
+        stand.served.inject(fault, "" if fault in OF_ROBOT else arm)
+    elif fault is Graph.MASTER_GONE:
+        stand.master.up = False
+    elif fault is Graph.DUPLICATE_PUBLISHER:
+        stand.duplicate(arm)
+    elif fault is Graph.FOREIGN_COMMANDS:
+        stand.stranger(arm)
+    else:
+        stand.deadman_runs = False
+
+
+def clear(stand: Robot) -> None:
+    """End all faults; what they left behind stays."""
+    stand.served.clear()
+    stand.master.up = True
+    stand.dismiss()
+    stand.deadman_runs = True
