@@ -21,7 +21,7 @@ from skills.estimate.elongation import ElongationConfig
 from skills.estimate.elongation import estimate_connectivity as by_elongation
 from skills.estimate.graph import ConnectivityGraph
 from skills.estimate.grid import Grid
-from skills.estimate.in_sight import best_in_sight
+from skills.estimate.in_sight import last_in_sight
 from skills.estimate.likelihood import LikelihoodConfig
 from skills.estimate.likelihood import estimate_connectivity as by_likelihood
 from skills.estimate.look import Look
@@ -251,13 +251,13 @@ class SessionSkills:
         return Look(self._exposure.steps_done, tracker.grid_tracks()[1], tracker.placed(), gaps.parted(), gaps.bed())
 
     def _leave_at(self, steps: int) -> int:
-        """Where the tissue is left after a pull: where most is in sight; straight pulls, and those of all steps, end as in the paper."""
+        """Where the tissue is left after a pull: where enough is in sight; straight pulls, and those of all steps, end as in the paper."""
         config, tracker = self._config, self._tracker
         if config.exposure is not ExposureKind.OPTIMAL or not config.optimal.stop_early:
             return steps
         assert tracker is not None, "a pull is looked at"
         looks = [*(look for look in self._looks if look.step < steps), self._look_now(tracker)]
-        return best_in_sight(tracker.grid_tracks()[2], looks, config.likelihood.min_confidence, config.optimal.least_steps)
+        return last_in_sight(tracker.grid_tracks()[2], looks, config.likelihood.min_confidence, config.optimal.least_steps)
 
     def _depth(self, points: Array) -> DepthMap:
         """Stereo depth around `points` (N, 2), those that are finite; of the whole picture if none is."""
