@@ -183,9 +183,12 @@ class Phantom:
             return 0
         middle, reach = crack_across(self.mesh.rest[self._topology.edges[worst]], float(gauge[worst]))
         ends = [self._crack_end(middle, end) for end in reach]
+        before = len(self.mesh.cut_edges)
         self.cut([(np.stack([ends[0], middle, ends[1]]), 1.0)], torn=True)
-        self.tears += 1
-        return 1
+        # Where the crack runs along lips that are open already nothing tears, however often it is tried.
+        torn = int(len(self.mesh.cut_edges) > before)
+        self.tears += torn
+        return torn
 
     # ---------------------------------------------------------------- cutting
 

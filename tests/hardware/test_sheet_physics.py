@@ -181,6 +181,23 @@ def test_a_crack_is_as_long_as_the_length_over_which_the_stretch_was_read(length
     assert (ends - middle) @ np.array([0.6, 0.8]) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_crack_that_opens_nothing_is_no_tear(scene):
+    phantom = Phantom(scene, 0, 20.0, STEP)
+    grasped = grasp_pose(scene)
+    phantom.grasp(grasped)
+    cut_along(phantom, -0.010, 0.010)
+    lips = np.flatnonzero(np.linalg.norm(phantom.mesh.rest, axis=1) < 0.5e-3)
+    phantom._solver.state.x[lips[0], 2] += 5e-3  # it tears, until all around it is open
+    counted, opened = [], []
+    for _ in range(20):
+        before = len(phantom.mesh.cut_edges)
+        counted.append(phantom.tear())
+        opened.append(len(phantom.mesh.cut_edges) > before)
+
+    assert counted == opened
+    assert 0 < phantom.tears == sum(counted) < 20
+
+
 def test_a_ligament_left_by_a_partial_cut_holds_at_first_and_tears_when_pulled_apart(scene):
     phantom = Phantom(scene, 0, 20.0, STEP)
     phantom.cut([(np.array([[-0.018, 0.0], [0.018, 0.0]]), 0.9)])
