@@ -28,6 +28,7 @@ from skills.estimate.look import Look
 from skills.estimate.rule import Rule
 from skills.estimate.stretches import located
 from skills.expose.foreseen import SteeringForeseen
+from skills.expose.instead import SteeringInstead
 from skills.expose.optimal import OptimalConfig, SteeringOptimal, View, sight_config
 from skills.expose.outcome import ExposeOutcome
 from skills.expose.pull import Exposure, PullConfig, Steering
@@ -93,8 +94,8 @@ class SessionSkills:
         self._calibration = calibration
         self._record = record
         self._agent = PlanningAgent(config.planning, config.grasp, config.stereo, executor)
-        self._steers = self._steering()
-        self._exposure = Exposure(config.pull, self._steers)
+        self._planned: SteeringOptimal | None = None
+        self._exposure = Exposure(config.pull, self._steering())
         self._tracker: GoalTracker | None = None
         self._tracked: TrackedGoal | None = None
         self._reference_wanted = False
@@ -178,7 +179,7 @@ class SessionSkills:
     @property
     def exposure_view(self) -> View | None:
         """What the controller had in mind at the newest step it planned; None before the first, and for a straight pull."""
-        return self._steers.view if isinstance(self._steers, SteeringOptimal) else None
+        return None if self._planned is None else self._planned.view
 
     def grid(self) -> Grid | None:
         """The keypoint grid of the newest reference; None before the first."""
@@ -206,10 +207,15 @@ class SessionSkills:
 
     def _steering(self) -> Steering:
         config, executor = self._config, self._executor
+
+        def along(direction: Direction) -> Steering:
+            return SteeringStraight(direction, config.pull.step, config.stereo, executor)
+
         if config.exposure is ExposureKind.OPTIMAL:
             rng = np.random.default_rng([self._seed, 4])
-            return SteeringOptimal(config.optimal, config.stereo, config.tissue, executor, rng, self._gaps)
-        straight = SteeringStraight(Direction(config.exposure.value), config.pull.step, config.stereo, executor)
+            self._planned = SteeringOptimal(config.optimal, config.stereo, config.tissue, executor, rng, self._gaps)
+            return SteeringInstead(self._planned, along(Direction.GOAL_NORMAL))
+        straight = along(Direction(config.exposure.value))
         sight = sight_config(config.optimal, config.stereo, config.tissue)
         return SteeringForeseen(straight, sight, config.optimal.separation, executor, self._gaps)
 
