@@ -1,5 +1,6 @@
 """A goal that jumped farther than flow can follow is searched for, and only found where it is."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -42,6 +43,32 @@ def test_a_few_wrong_matches_are_put_aside():
 
 def test_on_a_picture_of_something_else_nothing_is_found():
     assert relocate(coloured(speckle(7)), coloured(speckle(8)), ROW, NOTHING_HIDDEN, RelocateConfig()) is None
+
+
+def test_matches_all_over_the_place_make_no_row():
+    texture = speckle(11)
+    before, now = coloured(texture), coloured(speckle(12))
+    # What is beside each point turns up somewhere else: all of it is found, and none of it together.
+    for k, (u, v) in enumerate(ROW[:, :].astype(int)):
+        to = np.array([u + (37 * k) % 90 - 45, v + (53 * k) % 80 - 40])
+        now[to[1] - 14 : to[1] + 15, to[0] - 14 : to[0] + 15] = before[v - 14 : v + 15, u - 14 : u + 15]
+
+    assert relocate(before, now, ROW, NOTHING_HIDDEN, RelocateConfig()) is None
+    anything = RelocateConfig(shrunk=0.0, stretched=np.inf)
+    assert relocate(before, now, ROW, NOTHING_HIDDEN, anything) is not None
+
+
+@pytest.mark.parametrize("share", [0.7, 1.4])
+def test_a_row_that_shrank_or_stretched_is_found(share):
+    texture = speckle(13)
+    there = np.array([[share, 0.0, 160.0 * (1.0 - share)], [0.0, 1.0, 0.0]])
+    now = cv2.warpAffine(texture, there, SIZE, borderMode=cv2.BORDER_REFLECT)
+    config = RelocateConfig(radius=8, likeness=0.3)
+
+    found = relocate(coloured(texture, 1.5, 0), coloured(now, 1.5, 1), ROW, NOTHING_HIDDEN, config)
+
+    assert found is not None
+    assert np.abs(found[:, 0] - (ROW[:, 0] * share + there[0, 2])).max() < 4.0
 
 
 def test_under_a_tool_nothing_is_found():
