@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,11 @@ def run_all(cases: Iterable[tuple[Fault, Phase]], folder: Path, patience: Patien
             continue
         _play(stand, lead(stand, phase))
         for fault in faults:
-            yield branch(lambda fault=fault, phase=phase: _play(stand, watch(stand, fault, phase, patience)))  # type: ignore[misc]
+            yield branch(partial(_watched, stand, fault, phase, patience), stand.threads_before)
+
+
+def _watched(stand: Staged, fault: Fault, phase: Phase, patience: Patience) -> Row:
+    return _play(stand, watch(stand, fault, phase, patience))
 
 
 def _play(stand: Staged, story: Story[T]) -> T:

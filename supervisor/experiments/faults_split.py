@@ -1,13 +1,13 @@
 """A session is split: what happens in a copy of this process has not happened here.
 
-A copy takes only the thread along that made it, and would wait for ever for work that it gave to another. So none may be there.
+A copy takes only the thread along that made it, and would wait for ever for work that it gave to another. So the session may have none.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -15,14 +15,14 @@ T = TypeVar("T")
 LONGEST = 600.0  # [s] on the wall that a branch may take
 
 
-def branch(act: Callable[[], T]) -> T:
-    """What `act` gives in a copy of this process.
+def branch(act: Callable[[], T], others: Collection[threading.Thread] = ()) -> T:
+    """What `act` gives in a copy of this process. `others` are threads on which nothing in the session waits: those from before it.
 
     Raises:
-        RuntimeError: there are other threads in this process; or the branch failed, or did not come to its end.
+        RuntimeError: there are more threads in this process; or the branch failed, or did not come to its end.
     """
-    if others := [one.name for one in threading.enumerate() if one is not threading.current_thread()]:
-        raise RuntimeError(f"a process with other threads cannot be split: {', '.join(others)}")
+    if more := [one.name for one in threading.enumerate() if one not in others and one is not threading.current_thread()]:
+        raise RuntimeError(f"a process with other threads cannot be split: {', '.join(more)}")
     context = multiprocessing.get_context("fork")
     receive, send = context.Pipe(duplex=False)
     process = context.Process(target=lambda: send.send(act()))

@@ -6,6 +6,7 @@ publishes empty pictures at its usual rate, through the same topics and faults.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -156,6 +157,7 @@ class Robot:
         cutter: str = SCISSORS,
         speeds: SpeedConfig | None = None,
     ) -> None:
+        self.threads_before = frozenset(threading.enumerate())
         self.stub = StubBench(shown, 0)
         self.goal = drawn_goal(self.stub)
         seen = self.stub.endoscope

@@ -188,7 +188,8 @@ def run_whole(
                 continue
             yield from lead(stand, phase, WHOLE_MOMENTS)
             for fault in faults:
-                tell(branch(partial(_disturbed, stand, fault, phase, folder / f"{phase}-{fault}", patience)))
+                disturbed = partial(_disturbed, stand, fault, phase, folder / f"{phase}-{fault}", patience)
+                tell(branch(disturbed, stand.threads_before))
 
     stand.play(story())
 

@@ -19,7 +19,7 @@ def test_a_branch_gives_what_it_found_and_leaves_nothing_behind():
     assert seen == [1]
 
 
-def test_a_process_with_another_thread_is_not_split():
+def test_a_process_with_another_thread_is_not_split_unless_nothing_waits_for_it():
     done = threading.Event()
     other = threading.Thread(target=done.wait, name="right-eye")
     other.start()
@@ -27,6 +27,7 @@ def test_a_process_with_another_thread_is_not_split():
     try:
         with pytest.raises(RuntimeError, match="cannot be split: right-eye"):
             branch(lambda: 1)
+        assert branch(lambda: 1, [other]) == 1
     finally:
         done.set()
         other.join()
