@@ -15,19 +15,19 @@ def test_a_branch_gives_what_it_found_and_leaves_nothing_behind():
         seen.append(2)
         return sum(seen)
 
-    assert branch(act) == 3
+    assert branch(act, threading.enumerate()) == 3
     assert seen == [1]
 
 
 def test_a_process_with_another_thread_is_not_split_unless_nothing_waits_for_it():
-    done = threading.Event()
+    done, before = threading.Event(), threading.enumerate()
     other = threading.Thread(target=done.wait, name="right-eye")
     other.start()
 
     try:
         with pytest.raises(RuntimeError, match="cannot be split: right-eye"):
-            branch(lambda: 1)
-        assert branch(lambda: 1, [other]) == 1
+            branch(lambda: 1, before)
+        assert branch(lambda: 1, [*before, other]) == 1
     finally:
         done.set()
         other.join()
@@ -38,7 +38,7 @@ def test_a_branch_that_fails_is_an_error_here(capfd: pytest.CaptureFixture[str])
         raise ValueError("no such arm")
 
     with pytest.raises(RuntimeError, match="a branch of the session failed"):
-        branch(act)
+        branch(act, threading.enumerate())
     assert "no such arm" in capfd.readouterr().err
 
 
@@ -46,4 +46,4 @@ def test_a_branch_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(faults_split, "LONGEST", 0.2)
 
     with pytest.raises(RuntimeError, match="did not come to its end within"):
-        branch(lambda: threading.Event().wait())
+        branch(lambda: threading.Event().wait(), threading.enumerate())
