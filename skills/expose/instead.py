@@ -24,7 +24,7 @@ class SteeringInstead:
     def __init__(self, first: Steering, second: Steering) -> None:
         self._first, self._second = first, second
         self._now = first
-        self._failed = ""  # why the run before found no surface
+        self._failed = False  # whether the run before found no surface
 
     @property
     def turns(self) -> bool:
@@ -33,12 +33,12 @@ class SteeringInstead:
 
     def begin(self, lease: Lease, goal: TrackedGoal, grid: Grid, grasped: Grasped) -> Steps[Stop | None]:
         """Let the first get ready, or the second one where it cannot again."""
-        failed, self._failed, self._now = self._failed, "", self._first
+        failed, self._failed, self._now = self._failed, False, self._first
         stop = yield from self._first.begin(lease, goal, grid, grasped)
         if stop is None or stop.code is not Code.SURFACE_INVALID:
             return stop
         if not failed:
-            self._failed = stop.message
+            self._failed = True
             return stop
         self._now = self._second
         return (yield from self._second.begin(lease, goal, grid, grasped))

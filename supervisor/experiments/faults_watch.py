@@ -36,7 +36,6 @@ class Patience:
     unnoticed: float = 4.0  # so that a motion of the jaw that comes next has time to fail
     watched: float = 1.5  # longer than an arm must have been quiet for after a motion that failed
     recovery: float = 2.5
-    to_end: bool = False  # a session that waited goes on to its end
 
 
 PATIENT = Patience()
@@ -211,28 +210,17 @@ def _outcome(stand: Watched, seen: _Seen, patience: Patience) -> Story[str]:
         return _ending()
     first = "waits" if seen.interrupted else "the step ends, the session goes on"
     if stand.begun > seen.begun:
-        if patience.to_end:
-            yield from _to_end(stand)
-        return f"{first}; looks again" + (f"; {_ending()}" if stand.ended else "")
+        return f"{first}; looks again"
     clear(stand)
     begun, until = stand.begun, stand.now() + patience.recovery
     while not stand.ended and stand.now() < until and (stand.begun == begun or stand.lease() == 0):
         yield
     again = stand.begun > begun
-    if again and patience.to_end:
-        yield from _to_end(stand)
-        return f"{first}; when the fault is gone: looks again; {_ending()}"
     if stand.ended:
         return f"{first}; when the fault is gone: {_ending()}"
     if not seen.interrupted:
         return first
     return f"{first}; when the fault is gone: {'looks again' if again else 'goes on waiting'}"
-
-
-def _to_end(stand: Watched) -> Story[None]:
-    until = stand.now() + LONGEST
-    while not stand.ended and stand.now() < until:
-        yield
 
 
 def _ending() -> str:

@@ -68,11 +68,7 @@ def _uncoded(rows: Rows) -> list[str]:
     bare = [row for row in rows if row["noticed"] is not None and not row["coded"]]
     if not bare:
         return ["None."]
-    lines = [
-        "A guard that waits leaves its name and its sentence in the record (`tree`). Its code stands there only where the gate refused a",
-        "command by it, which it did not in these:",
-        "",
-    ]
+    lines = []
     for phase in dict.fromkeys(row["phase"] for row in bare):
         said = [f"{row['fault']} ({row['code']})" for row in bare if row["phase"] == phase]
         lines.append(f"- {phase}: {', '.join(said)}")
