@@ -164,9 +164,7 @@ class PlanningAgent:
             if path is None:
                 return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, f"the depth along {name} cannot be seen")
             if count is None:
-                # The blades reach over the ends of what they are to cut; at the goal's own ends a corrective cut keeps inside.
-                insets = [self._config.overlap / 2 if corrective and end in (0.0, 1.0) else 0.0 for end in segment[:, 0]]
-                before, after = (min(inset, path.length / 4) for inset in insets)
+                before, after = _insets(segment, path.length, self._config.overlap / 2) if corrective else (0.0, 0.0)
                 count = max(1, int(np.ceil((path.length - before - after) / self._config.snip - 0.05)))
                 inside = np.array([before, path.length - after])[:, None] / path.length
                 segment = segment[0] + inside * (segment[1] - segment[0])
@@ -258,6 +256,17 @@ def _seen(stereo: StereoFrame, camera: CameraModel, config: StereoConfig, region
 def _rest(segment: Array, done: float) -> Array:
     """What is left of a `segment` (2, 2) in goal coordinates of which the share `done` is cut."""
     return np.array([segment[0] + done * (segment[1] - segment[0]), segment[1]])
+
+
+def _insets(segment: Array, length: float, beyond: float) -> tuple[float, float]:
+    """By how much [m] to begin later and end sooner on a `segment` (2, 2) in goal coordinates, `length` [m] long.
+
+    The blades reach `beyond` [m] over the ends of what they are to cut; past the goal's own ends nothing is to be cut.
+    """
+    share = max(float(abs(segment[1, 0] - segment[0, 0])), 1e-6)
+    to_end = np.minimum(segment[:, 0], 1.0 - segment[:, 0]) * length / share
+    before, after = np.clip(beyond - to_end, 0.0, length / 4)
+    return float(before), float(after)
 
 
 def _share_seen(goal: TrackedGoal, segment: Array) -> float:

@@ -9,7 +9,7 @@ from hardware.codes import Code
 from hardware.interface import CUTTER, MoveReport, MoveStatus, Pose
 from skills.dissect import planning
 from skills.dissect.path import Path
-from skills.dissect.planning import PlanningAgent, PlanningConfig, _on_goal, retraction_direction
+from skills.dissect.planning import PlanningAgent, PlanningConfig, _insets, _on_goal, retraction_direction
 from skills.grasp import GraspConfig, Grasped
 from skills.scene.stereo import StereoConfig
 from skills.skill import ImmediateExecutor
@@ -142,6 +142,26 @@ def test_a_corrective_segment_ends_at_the_goals_ends_and_keeps_its_place_across_
 
     assert on_goal[:, 0] == pytest.approx(stations, abs=0.01)
     assert on_goal[:, 1] == pytest.approx((240.0 - np.array(segment)[:, 1]) / 18.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("stations", "insets"),
+    [
+        ((0.3, 0.4), (0.0, 0.0)),  # 4 mm in the middle of a goal of 40 mm
+        ((0.9, 1.0), (0.0, 0.8e-3)),
+        ((0.89, 0.99), (0.0, 0.4e-3)),  # 0.4 mm are left to the goal's end, half of what the blades reach over
+        ((0.1, 0.0), (0.0, 0.8e-3)),  # cut towards the goal's beginning
+        ((0.0, 0.1), (0.8e-3, 0.0)),
+    ],
+)
+def test_the_blades_of_a_corrective_cut_do_not_reach_beyond_the_goals_ends(stations, insets):
+    segment = np.column_stack([stations, (0.0, 0.0)])
+
+    assert _insets(segment, 4e-3, 0.8e-3) == pytest.approx(insets, abs=1e-9)
+
+
+def test_a_short_corrective_cut_keeps_at_least_half_its_length():
+    assert _insets(np.array([[0.99, 0.0], [1.0, 0.0]]), 0.4e-3, 0.8e-3) == pytest.approx((0.1e-3, 0.1e-3))
 
 
 def test_preempted_in_the_middle_it_leaves_the_arms_holding():
