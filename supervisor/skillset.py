@@ -102,6 +102,7 @@ class SessionSkills:
         self._due = -np.inf
         self._gauge: StrainGauge | None = None
         self._looks: list[Look] = []  # at the grid's keypoints, since the newest reference
+        self._newest: tuple[Look, Array] | None = None  # the newest finished look, with the openings that are decided
         self._goal_length: float | None = None  # [m] at the newest reference
         self._strain, self._strain_seen, self._strain_due = float("nan"), -np.inf, -np.inf
         self._park: Pose | None = None
@@ -123,7 +124,7 @@ class SessionSkills:
         self._tracked = tracker.start(self.frame, goal)
         if self._tracked.lost:
             return TrackOutcome(Code.GOAL_LOST, "the goal cannot be followed: too little of it is seen")
-        self._tracker = tracker
+        self._tracker, self._newest = tracker, None
         return TrackOutcome(Code.OK, f"following {len(self._tracked.polyline)} stations along the goal")
 
     def track(self) -> Steps[None]:
@@ -136,11 +137,13 @@ class SessionSkills:
                 if self._reference_wanted:
                     yield from computed(self._executor, "taking the reference", self._tracker.mark_reference, self.frame)
                     self._tracked = self._tracker.tracked()
+                    self._finish_look()
                     yield from computed(self._executor, "measuring depth", self._begin_strain)
                     self._tracked = replace(self._tracked, strain=self._strain)
                     self._reference_wanted = False
                 else:
                     self._tracked = yield from computed(self._executor, "following the goal", self._tracker.update, self.frame)
+                    self._finish_look()
                     if self._exposure.pulling and bench.now() >= self._strain_due:
                         yield from computed(self._executor, "measuring strain", self._read_strain)
                     self._tracked = replace(self._tracked, strain=self._strain)
@@ -246,10 +249,20 @@ class SessionSkills:
 
     def _keep_look(self) -> None:
         """Keep what is seen after each step of a pull: the history of each edge."""
-        assert self._tracker is not None
         step = self._exposure.steps_done
         if self._exposure.pulling and step > (self._looks[-1].step if self._looks else 0):
-            self._looks.append(self._look_now(self._tracker))
+            self._looks.append(self._newest_look())
+
+    def _finish_look(self) -> None:
+        """Keep what the tracker has found for whoever asks while it works on the next frame, in another thread."""
+        assert self._tracker is not None
+        gaps = self._tracker.gaps()
+        self._newest = None if gaps is None else (self._look_now(self._tracker), gaps.decided())
+
+    def _newest_look(self) -> Look:
+        """The newest finished look, as one after the steps done by now."""
+        assert self._newest is not None, "there is a look at the grid only after the reference"
+        return replace(self._newest[0], step=self._exposure.steps_done)
 
     def _look_now(self, tracker: GoalTracker) -> Look:
         gaps = tracker.gaps()
@@ -258,12 +271,12 @@ class SessionSkills:
 
     def _leave_at(self, steps: int) -> int:
         """Where the tissue is left after a pull: where enough is in sight; straight pulls, and those of all steps, end as in the paper."""
-        config, tracker = self._config, self._tracker
+        config, grid = self._config, self.grid()
         if config.exposure is not ExposureKind.OPTIMAL or not config.optimal.stop_early:
             return steps
-        assert tracker is not None, "a pull is looked at"
-        looks = [*(look for look in self._looks if look.step < steps), self._look_now(tracker)]
-        return last_in_sight(tracker.grid_tracks()[2], looks, config.likelihood.min_confidence, config.optimal.least_steps)
+        assert grid is not None, "a pull is looked at"
+        looks = [*(look for look in self._looks if look.step < steps), self._newest_look()]
+        return last_in_sight(grid, looks, config.likelihood.min_confidence, config.optimal.least_steps)
 
     def _depth(self, points: Array) -> DepthMap:
         """Stereo depth around `points` (N, 2), those that are finite; of the whole picture if none is."""
@@ -275,8 +288,7 @@ class SessionSkills:
         return depth_from_stereo(endoscope.stereo(), camera, self._config.stereo, region)
 
     def _gaps(self) -> Array | None:
-        gaps = None if self._tracker is None else self._tracker.gaps()
-        return None if gaps is None else gaps.decided()
+        return None if self._newest is None else self._newest[1]
 
     def _mark_reference(self) -> Steps[Grid | None]:
         """Ask the tracker, which runs beside, for a reference: its grid, or None if it was not taken in time."""

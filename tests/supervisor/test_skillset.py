@@ -5,6 +5,7 @@ The exposure, the gate and the arms are real or mocks with no tissue; tracker, d
 
 import math
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -474,6 +475,37 @@ def test_the_pull_is_foreseen_with_the_openings_that_are_decided_so_far(monkeypa
     session.follow(0.5)
 
     assert np.array_equal(session.gaps_told(), session.skills._tracker.gaps().decided())
+
+
+class HalfWay(ImmediateExecutor):
+    """While it is `stuck`, what it was given has changed things already and is not done."""
+
+    stuck = False
+
+    def submit(self, fn, /, *args, **kwargs):
+        done = super().submit(fn, *args, **kwargs)
+        return Future() if self.stuck else done
+
+
+def test_while_the_tracker_works_on_a_frame_the_newest_finished_look_counts(monkeypatch):
+    session = Session(monkeypatch, exposure=ExposureKind.OPTIMAL)
+    session.expose()
+    executor = session.skills._executor = HalfWay()
+    session.follow(2 * LOOK)
+    left = []
+    monkeypatch.setattr(skillset, "last_in_sight", lambda grid, looks, *_: left.append(looks[-1]) or 1)
+    session.skills._leave_at(35)
+    told = session.skills._gaps()
+
+    executor.stuck = True
+    session.follow(2 * LOOK)
+    session.skills._leave_at(35)
+
+    assert not np.array_equal(told, session.skills._tracker.gaps().decided())
+    assert np.array_equal(session.skills._gaps(), told)
+    assert left[1].tracks.stamp == left[0].tracks.stamp == session.seen().stamp
+    assert np.array_equal(left[1].parted, left[0].parted)
+    assert left[1].step == session.skills.exposure_step
 
 
 # What is chosen
