@@ -81,10 +81,15 @@ class Setpoints:
         away = np.linalg.norm(positions - setpoint.position, axis=1) + LEVER * turns
         here = max(self._slight + 2.0 * jitter, float(away.min()) + ROUNDING)
         reached = int(np.flatnonzero(away <= here)[-1])
-        if not self._moving and (reached == len(away) - 1 or away[-1] <= self._still + 2.0 * jitter):
-            self._settle(taken)
+        if not self._moving and reached == len(away) - 1:
+            self._settle(taken, self._sent[-1][1])
             return FINE
-        if not self._moving and taken - self._sent[-1][0] > RESTS_WITHIN:
+        late = taken - self._sent[-1][0] > RESTS_WITHIN
+        if not self._moving and away[-1] <= self._still + 2.0 * jitter:
+            if late:  # the last ones were lost, as by a hold that overtook them: it rests where it is
+                self._settle(taken, setpoint)
+            return FINE
+        if not self._moving and late:
             said = f"it does not do what it is told: its setpoint stays {away[-1] * 1e3:.2f} mm from where it was sent"
             return Verdict(False, True, Code.NOT_OBEYED, said)
         ahead = np.flatnonzero(away[reached + 1 :] > here)
@@ -105,10 +110,9 @@ class Setpoints:
     def _still(self) -> float:
         return RESTING * self._tolerances.foreign
 
-    def _settle(self, taken: float) -> None:
-        last = self._sent[-1][1]
+    def _settle(self, taken: float, at: Pose) -> None:
         self._sent.clear()
-        self._sent.append((taken, last))
+        self._sent.append((taken, at))
         self._settled = True
 
     def _foreign(self, away: float, turned: float, taken: float, jitter: float) -> Verdict | None:

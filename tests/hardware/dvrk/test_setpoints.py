@@ -99,6 +99,37 @@ def test_a_frame_that_trembles_makes_no_setpoint_foreign(sent: Setpoints):
     assert all(sent.judge(pose(5e-3, 0.04e-3), last + k * PERIOD, 0.05e-3).ok for k in range(1, 9))
 
 
+def test_the_last_setpoint_may_come_late_when_nothing_more_is_sent(sent: Setpoints):
+    last = stream(sent, speed=4e-3)
+    sent.rest()
+
+    late = [sent.judge(pose(2e-3 - 0.04e-3), last + k * PERIOD, 0.0) for k in range(1, 9)]
+    settled = sent.settled
+    come = [sent.judge(pose(2e-3), last + 0.1 + k * PERIOD, 0.0) for k in range(1, 9)]
+
+    assert all(verdict.ok for verdict in (*late, *come))
+    assert not settled and sent.settled
+
+
+def test_where_the_last_setpoint_was_lost_the_arm_rests_a_step_before_it(sent: Setpoints):
+    last = stream(sent, speed=4e-3)
+    sent.rest()
+
+    verdicts = [sent.judge(pose(2e-3 - 0.04e-3), last + k * PERIOD, 0.0) for k in range(1, 60)]
+
+    assert all(verdict.ok for verdict in verdicts) and sent.settled
+    assert sent.judge(pose(2e-3 - 0.15e-3), last + 0.6, 0.0).code is Code.FOREIGN_MOTION
+
+
+def test_a_stranger_who_creeps_at_rest_shows(sent: Setpoints):
+    last = stream(sent)
+    sent.rest()
+
+    codes = [sent.judge(pose(5e-3 + 0.01e-3 * k), last + k * PERIOD, 0.0).code for k in range(20)]
+
+    assert Code.FOREIGN_MOTION in codes
+
+
 @pytest.mark.parametrize(("aside", "ok"), [(0.05e-3, True), (0.15e-3, False)])
 def test_at_rest_less_is_foreign(sent: Setpoints, aside: float, ok: bool):
     last = stream(sent)
