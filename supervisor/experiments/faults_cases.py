@@ -32,8 +32,10 @@ class Graph(StrEnum):
 
 
 Fault = Served | Graph
-Moments = Mapping[Phase, tuple[str, float, str]]
+Moment = tuple[str, float, str]
+Moments = Mapping[Phase, Moment]
 FAULTS: tuple[Fault, ...] = (*Served, *Graph)
+GRASPER_ARM = "PSM1"
 # What a skill does in a phase, how long into it the fault comes [s], and the arm at work.
 MOMENTS: Moments = {
     Phase.APPROACH: ("lowering the grasper", 0.4, "PSM1"),
@@ -43,6 +45,11 @@ MOMENTS: Moments = {
     Phase.EXPOSE: ("exposing: step 3", 0.1, "PSM1"),
     Phase.ESTIMATE: (ESTIMATING, 0.3, "PSM1"),
 }
+
+
+def arm_of(fault: Fault, phase: Phase) -> str:
+    """The arm that it befalls: the one at work; tissue is lost by the one that holds it."""
+    return GRASPER_ARM if fault is Served.JAW_SLIPS else MOMENTS[phase][2]
 
 
 def inject(stand: Robot, fault: Fault, arm: str) -> None:

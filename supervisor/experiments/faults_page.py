@@ -5,29 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from supervisor.experiments.faults_reasons import REASONS, TOLERATED, UNEXPLAINED, reasons
 from supervisor.experiments.faults_whole_page import whole_page
 
-# Faults that do no harm where nobody noticed them, and why to hold would be wrong.
-NO_TRAJECTORY = (
-    "only a motion that the robot makes by itself, here that of the jaw, can be hindered; in these phases none is under way, "
-    "and the arm does all that it is told"
-)
-TOLERATED: Mapping[str, str] = {
-    "jaw_blocked": NO_TRAJECTORY,
-    "interrupt": NO_TRAJECTORY,
-    "busy_pulse": "a robot is busy for a moment for many reasons, and tells so again when asked for its state: no motion of ours ends "
-    "by it (2.4, trap 2), and a motion of somebody else's shows by the setpoint",
-    "jaw_slips": "the arm and its jaw do as they are told: it is the tissue that is gone. It shows by the tension alone, to the test of "
-    "the grasp, which is left out here, and to the exposure, which then ends its pull, with code ok and `stopped_by` grasp_slipped",
-    "jaw_stale_goal": "it shows at the robot's own moves of the arm, of which the driver makes none (7.7); a jaw whose setpoint moved all "
-    "the same would end the session with foreign_motion",
-    "latched_error": "an old text is told to who connects later; nothing is judged by a text alone (1.1)",
-}
-# Faults that nobody can know of, and why.
-NO_COMMAND = (
-    "it shows at the next command of that arm; here none is sent to it any more, nothing is rejected or lost, and nothing moves"
-)
-REASONS: Mapping[str, str] = {"not_ready": NO_COMMAND, "lost_commands": NO_COMMAND, "ik_failure": NO_COMMAND}
 # What the robot does with its commands leaves no trace before the next one.
 BY_COMMAND = ("not_ready", "lost_commands", "ik_failure")
 HEAD = """\
@@ -122,8 +102,8 @@ def page(rows: Sequence[Mapping[str, Any]], whole: Sequence[Mapping[str, Any]] =
             "",
         ]
         parts += [f"- {row['fault']}, {row['phase']}: {row['drift'] * 1e3:.1f} mm, {row['outcome']}" for row in moved]
-    parts += ["", "## Tolerated", "", *_reasons(rows, "tolerated", TOLERATED)]
-    parts += ["", "## Not noticed", "", *_reasons(rows, "not noticed", REASONS)]
+    parts += ["", "## Tolerated", "", *reasons(rows, "tolerated", TOLERATED)]
+    parts += ["", "## Not noticed", "", *reasons(rows, "not noticed", REASONS)]
     for phase in dict.fromkeys(row["phase"] for row in rows):
         parts += ["", f"## {phase.capitalize()}", "", *_table([row for row in rows if row["phase"] == phase])]
     if whole:
@@ -146,16 +126,7 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _late(row: Mapping[str, Any]) -> str:
-    return TAKES.get(row["fault"], "**not explained: a finding**")
-
-
-def _reasons(rows: Sequence[Mapping[str, Any]], verdict: str, why: Mapping[str, str]) -> list[str]:
-    lines = ["| fault | phases | why |", "| --- | --- | --- |"]
-    quiet = [row for row in rows if row["verdict"] == verdict]
-    for fault in dict.fromkeys(row["fault"] for row in quiet):
-        phases = ", ".join(row["phase"] for row in quiet if row["fault"] == fault)
-        lines.append(f"| {fault} | {phases} | {why.get(fault) or '**not explained: a finding**'} |")
-    return lines if quiet else ["None."]
+    return TAKES.get(row["fault"], UNEXPLAINED)
 
 
 def _trouble(row: Mapping[str, Any]) -> str:

@@ -17,12 +17,13 @@ from hardware.codes import Code
 from hardware.interface import Array
 from hardware.served.faults import ONCE
 from hardware.served.faults import Fault as Served
-from supervisor.experiments.faults_cases import MOMENTS, Fault, Moments, Phase, clear, inject
-from supervisor.experiments.faults_page import TOLERATED
+from supervisor.experiments.faults_cases import MOMENTS, Fault, Moments, Phase, arm_of, clear, inject
+from supervisor.experiments.faults_reasons import TOLERATED
 from supervisor.experiments.faults_stand import ARMS, HOLD, STOPS, Watched
 
 LONGEST = 60.0  # [s] for a session to come to a phase
 QUIET = (Code.OK, Code.LEASE_REVOKED)
+GOES_ON = "the step ends, the session goes on"
 STEP_ENDS = 15.0  # [s] for a step that noticed nothing to end
 
 T = TypeVar("T")
@@ -84,7 +85,7 @@ def lead(stand: Watched, phase: Phase, moments: Moments = MOMENTS) -> Story[None
 
 def watch(stand: Watched, fault: Fault, phase: Phase, patience: Patience) -> Story[Row]:
     """`fault` happens now; see what becomes of the session."""
-    arm = MOMENTS[phase][2]
+    arm = arm_of(fault, phase)
     seen = _Seen(stand, once=isinstance(fault, Served) and fault in ONCE)
     inject(stand, fault, arm)
     while not (seen.noticed and stand.now() - seen.start >= seen.noticed[0] + patience.watched):
@@ -128,6 +129,8 @@ class _Seen:
         self._tips.append((self._stand.now() - self.start, self._stand.tips()))
         if self.noticed is None and (found := min(self._complaints(), key=lambda one: one[0], default=None)):
             self.noticed, self.begun = found, self._stand.begun  # a step that began meanwhile is none that looks again
+            if not any(self._guards()):
+                self._content = found[0]  # a step failed at which no guard takes offence: the session may go on at once
         if self.noticed and self._content == math.inf and not any(self._guards()):
             self._content = self._stand.now() - self.start
         self.follow_step()
@@ -208,7 +211,7 @@ def _outcome(stand: Watched, seen: _Seen, patience: Patience) -> Story[str]:
         return f"{step}; {_ending()}" if stand.ended else step
     if stand.ended:
         return _ending()
-    first = "waits" if seen.interrupted else "the step ends, the session goes on"
+    first = "waits" if seen.interrupted else GOES_ON
     if stand.begun > seen.begun:
         return f"{first}; looks again"
     clear(stand)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,14 +20,18 @@ from behaviours.session_outcome import SessionOutcome
 from hardware.codes import Code
 from hardware.dvrk.config import SpeedConfig
 from hardware.gate import Decision
+from hardware.served.faults import Fault as Served
 from hardware.served.node import Serving
 from hardware.stub.scene import Scene, load_scene
+from hardware.stub.truth import measure
+from skills.estimate.graph import ConnectivityGraph
+from skills.skill import Progress, Steps
 from supervisor import topics
 from supervisor.approvers import AutoApprover
-from supervisor.experiments.faults_cases import Fault, Moments, Phase
+from supervisor.experiments.faults_cases import Fault, Moment, Moments, Phase
 from supervisor.experiments.faults_split import branch
 from supervisor.experiments.faults_stand import Watched
-from supervisor.experiments.faults_watch import PATIENT, Patience, Row, Story, lead, watch
+from supervisor.experiments.faults_watch import GOES_ON, PATIENT, Patience, Row, Story, lead, watch
 from supervisor.reading import read
 from supervisor.record import MCAP_FILE, Recorder
 from supervisor.robot import fitted
@@ -42,15 +46,20 @@ SEED = 4
 ATTEMPTS = 2
 FAST = SpeedConfig(ratio=0.3, linear=0.05, angular=1.5)  # as fast as the configuration of a robot may be
 CUTTER = "CURVED_SCISSORS:400178"  # they open wide: the goal takes two snips
-# As `faults_cases.MOMENTS`, in the words of the real skills. An estimate is made within one tick.
+JUDGING = 1.0  # [s] that an estimate takes here: on a robot it is made beside the ticks, and time goes on
+FOLLOWED = 90.0  # [s] for a session in which nobody noticed anything to come to its end
+ESTIMATING = "estimating what is still attached"
+# As `faults_cases.MOMENTS`, in the words of the real skills.
 WHOLE_MOMENTS: Moments = {
     Phase.APPROACH: ("lowering the grasper", 0.4, "PSM1"),
     Phase.GRASP: ("closing the grasper", 0.4, "PSM1"),
     Phase.RETRACT: ("retracting along the goal's normal", 0.4, "PSM1"),
     Phase.CUT: ("segment 1 of 1: snip 1", 1.5, "PSM2"),
     Phase.EXPOSE: ("exposing: step 3", 0.1, "PSM1"),
-    Phase.ESTIMATE: ("estimating what is still attached", 0.0, "PSM1"),
+    Phase.ESTIMATE: (ESTIMATING, 0.3, "PSM1"),
 }
+# While the grasper closes nothing is held that could be lost: it is a moment later.
+LATER: Mapping[tuple[Fault, Phase], Moment] = {(Served.JAW_SLIPS, Phase.GRASP): ("testing the grasp", 0.0, "PSM1")}
 
 
 @dataclass(frozen=True)
@@ -58,12 +67,14 @@ class SessionRow(Row):
     """As `Row`, and what the record of the session says, read back from its file.
 
     `recorded`: the code of the outcome. `closed`: the record was closed as it should be. `coded`: where the code that was noticed first
-    stands in it, by topic.
+    stands in it, by topic. `exposures`: why each pull that ended later had ended. `attachments`: strands that truly bridge the goal now.
     """
 
     recorded: str
     closed: bool
     coded: tuple[str, ...]
+    exposures: tuple[str, ...]
+    attachments: int
 
 
 def small_scene() -> Scene:
@@ -118,6 +129,8 @@ class WholeStand(Watched):
         self._doing = ("", 0.0)
         self.session = Session(self.bench, setup, AutoApprover(), self.record, pace=self._after_tick)
         self.gate = self.session.gate
+        judge = self.session.skills.estimate
+        self.session.skills.estimate = lambda: self._unhurried(judge())  # type: ignore[method-assign]
 
     @property
     def doing(self) -> tuple[str, float]:
@@ -163,6 +176,12 @@ class WholeStand(Watched):
         if self._told:
             raise KeyboardInterrupt
 
+    def _unhurried(self, judge: Steps[ConnectivityGraph]) -> Steps[ConnectivityGraph]:
+        until = self.now() + JUDGING
+        while self.now() < until:
+            yield Progress(ESTIMATING)
+        return (yield from judge)
+
     def _go_on(self) -> None:
         assert self._story is not None
         try:
@@ -186,8 +205,8 @@ def run_whole(
             faults = [fault for fault, at in wanted if at is phase]
             if not faults:
                 continue
-            yield from lead(stand, phase, WHOLE_MOMENTS)
-            for fault in faults:
+            for fault in sorted(faults, key=lambda one: (one, phase) in LATER):
+                yield from lead(stand, phase, moments_of(fault, phase))
                 disturbed = partial(_disturbed, stand, fault, phase, folder / f"{phase}-{fault}", patience)
                 tell(branch(disturbed, stand.threads_before))
 
@@ -199,9 +218,9 @@ def run_alone(fault: Fault, phase: Phase, folder: Path, patience: Patience = PAT
     stand = WholeStand(folder)
 
     def story() -> Story[tuple[Row, float]]:
-        yield from lead(stand, phase, WHOLE_MOMENTS)
+        yield from lead(stand, phase, moments_of(fault, phase))
         at = stand.now()
-        return (yield from watch(stand, fault, phase, patience)), at
+        return (yield from _watched(stand, fault, phase, patience)), at
 
     (row, at), _ = stand.play(story())
     return _judged(stand, row, at)
@@ -210,8 +229,17 @@ def run_alone(fault: Fault, phase: Phase, folder: Path, patience: Patience = PAT
 def _disturbed(stand: WholeStand, fault: Fault, phase: Phase, folder: Path, patience: Patience) -> SessionRow:
     stand.record.move(folder)
     at = stand.now()
-    row, _ = stand.play(watch(stand, fault, phase, patience))
+    row, _ = stand.play(_watched(stand, fault, phase, patience))
     return _judged(stand, row, at)
+
+
+def _watched(stand: WholeStand, fault: Fault, phase: Phase, patience: Patience) -> Story[Row]:
+    """As `watch`; a session that goes on is followed to its end, so that it tells what came of it."""
+    row = yield from watch(stand, fault, phase, patience)
+    goes_on, until = row.noticed is None or row.outcome.startswith(GOES_ON), stand.now() + FOLLOWED
+    while goes_on and not stand.ended and stand.now() < until:
+        yield
+    return row
 
 
 def _judged(stand: WholeStand, row: Row, at: float) -> SessionRow:
@@ -222,7 +250,23 @@ def _judged(stand: WholeStand, row: Row, at: float) -> SessionRow:
         for topic, entries in record.messages.items()
         if row.code and any(one.stamp >= at - 1e-6 and one.payload.get("code") == row.code for one in entries)
     )
-    return SessionRow(**vars(row), recorded=record.outcome.get("code", ""), closed=record.closed, coded=coded)
+    exposures = tuple(
+        str(one.payload["stopped_by"] or one.payload["code"]) for one in record.topic(topics.EXPOSED) if one.stamp > at
+    )
+    left = measure(stand.stub.phantom).attachments
+    return SessionRow(
+        **vars(row),
+        recorded=record.outcome.get("code", ""),
+        closed=record.closed,
+        coded=coded,
+        exposures=exposures,
+        attachments=left,
+    )
+
+
+def moments_of(fault: Fault, phase: Phase) -> Moments:
+    """The moments of a whole session, where `fault` comes at its own in `phase`."""
+    return {**WHOLE_MOMENTS, phase: LATER.get((fault, phase), WHOLE_MOMENTS[phase])}
 
 
 def _runs(node: py_trees.behaviour.Behaviour) -> bool:

@@ -7,7 +7,8 @@ import pytest
 from hardware.served.faults import Fault as Served
 from supervisor.experiments.faults import run_all
 from supervisor.experiments.faults_cases import FAULTS, Fault, Graph, Phase
-from supervisor.experiments.faults_page import TOLERATED, page
+from supervisor.experiments.faults_page import page
+from supervisor.experiments.faults_reasons import TOLERATED
 from supervisor.experiments.faults_watch import Patience, Row
 
 LATCHED = {

@@ -1,9 +1,9 @@
-"""A whole session, with recorder, real skills and pictures, disturbed in two phases: both arms hold, and the record says why."""
+"""A whole session, with recorder, real skills and pictures, disturbed: both arms hold and the record says why, or it comes to its end."""
 
 import multiprocessing
 import pickle
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +12,8 @@ import pytest
 from hardware.codes import Code
 from hardware.served.faults import Fault as Served
 from supervisor.experiments.faults_cases import Fault, Graph, Phase
+from supervisor.experiments.faults_page import page
+from supervisor.experiments.faults_reasons import UNEXPLAINED
 from supervisor.experiments.faults_watch import Patience
 from supervisor.experiments.faults_whole import SessionRow, run_alone, run_whole
 
@@ -27,8 +29,16 @@ ENDS: dict[Fault, tuple[Code, Code]] = {
     Graph.DEADMAN_GONE: (Code.DEADMAN, Code.DEADMAN),
 }
 PASSES: dict[Fault, Code] = {Served.FROZEN: Code.ARM_DATA_STALE, Served.OPERATOR_ABSENT: Code.ARM_NOT_READY}
-CASES = [(fault, phase) for phase in PHASES for fault in (*ENDS, *PASSES)]
+CASES: list[tuple[Fault, Phase]] = [(fault, phase) for phase in PHASES for fault in (*ENDS, *PASSES)]
 IDS = [f"{fault}-{phase}" for fault, phase in CASES]
+# Harmless: the session goes on to its end, where this ended the pulls that came after.
+HARMLESS: dict[tuple[Fault, Phase], tuple[Code, ...]] = {
+    (Served.JAW_SLIPS, Phase.EXPOSE): (Code.GRASP_SLIPPED,),
+    (Served.JAW_STALE_GOAL, Phase.EXPOSE): (Code.TENSION,),
+    (Served.BUSY_PULSE, Phase.ESTIMATE): (),
+    (Served.LATCHED_ERROR, Phase.ESTIMATE): (),
+}
+WHILE_JUDGING: tuple[Fault, Phase] = (Served.CAMERA_STOPPED, Phase.ESTIMATE)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,7 +66,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory, one_thread: None) -> dict[tup
 def run_and_tell(folder: Path, file: Path) -> None:
     cv2.setNumThreads(0)
     found: list[SessionRow] = []
-    run_whole(CASES, folder, found.append, PATIENCE)
+    run_whole([*CASES, *HARMLESS, WHILE_JUDGING], folder, found.append, PATIENCE)
     file.write_bytes(pickle.dumps(found))
 
 
@@ -91,6 +101,32 @@ def test_what_may_pass_makes_the_session_wait_and_look_again(rows, case: tuple[F
 
     assert row.outcome == "waits; when the fault is gone: looks again"
     assert row.recorded == Code.ABORTED
+
+
+@pytest.mark.parametrize("case", HARMLESS, ids=str)
+def test_what_does_no_harm_lets_the_session_come_to_its_end(rows, case: tuple[Fault, Phase]):
+    row = rows[case]
+
+    assert row.verdict == "tolerated" and not row.code
+    assert row.exposures == HARMLESS[case]
+    assert row.recorded == Code.COMPLETE and row.closed and row.attachments == 0
+
+
+def test_what_shows_while_the_estimate_is_made_makes_the_session_wait(rows):
+    row = rows[WHILE_JUDGING]
+
+    assert row.verdict in ("held", "at rest") and row.after_noticed == 0
+    assert row.code == Code.CAMERA_STALE and row.coded
+    assert row.outcome == "waits; when the fault is gone: looks again"
+
+
+def test_the_page_says_why_what_nobody_noticed_is_tolerated_and_what_came_of_it(rows):
+    said = page([], [asdict(row) for row in rows.values()])
+
+    listed = said[said.index("### Where the session goes on") : said.index("### Unlike the light session")]
+    for (fault, phase), codes in HARMLESS.items():
+        assert f"| {fault} | {phase} | tolerated | {', '.join(codes) or '-'} | complete | 0 |" in listed
+    assert UNEXPLAINED not in said
 
 
 def test_a_session_that_was_split_is_the_session_that_was_not(rows, tmp_path: Path):
