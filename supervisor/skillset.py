@@ -12,7 +12,7 @@ import numpy as np
 
 from hardware.codes import Code
 from hardware.gate import Lease, SafetyGate
-from hardware.interface import CUTTER, Array, Frame, MoveReport, Pose
+from hardware.interface import CUTTER, Array, Frame, MoveReport, MoveStatus, Pose
 from skills.checklist import checklist
 from skills.checklist_outcome import CheckOutcome
 from skills.dissect.outcome import DissectOutcome
@@ -164,10 +164,17 @@ class SessionSkills:
         return (yield from self._agent.take_hold(lease, self._tracked, 0.0))
 
     def expose(self, lease: Lease) -> Steps[ExposeOutcome]:
-        """Pull the tissue, with a reference image (t_d) before it."""
+        """Pull the tissue, with a reference image (t_d) before it; grasp it first where nothing is held."""
         park = self._park or lease.measured_cp(CUTTER).value
+        if self._agent.grasped is None and self._tracked is not None and not self._tracked.lost:
+            report = yield from self._agent.take_hold(lease, self._tracked, self._config.planning.retraction)
+            if report.status is MoveStatus.FAILED:
+                return self._exposure.not_begun(report.code, report.message)
         run = self._exposure.run
-        return (yield from run(lease, self.tracked, self._agent.grasped, park, self._mark_reference, self._leave_at))
+        outcome = yield from run(lease, self.tracked, self._agent.grasped, park, self._mark_reference, self._leave_at)
+        if outcome.stopped_by is Code.GRASP_SLIPPED:
+            self._agent.slipped()
+        return outcome
 
     @property
     def grasped(self) -> Grasped | None:

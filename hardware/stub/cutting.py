@@ -20,6 +20,7 @@ from hardware.stub.sheetmesh import distance_to_line
 SNAP = 0.45  # of the local edge length: a line that ends this near to a vertex ends at it
 BLUNT = 0.12  # of an edge: crossings nearer than this to an immovable vertex go through it
 QUALITY = 0.30  # least shape quality (1 equilateral, 0 flat) that moving a vertex may leave
+SHORTEST = 5e-6  # [m]: an edge is not divided into parts shorter than this; the line goes through its nearer end
 SEAM_REACH = 0.5e-3  # [m]: a later cut that passes this near to a seam damages it too
 
 
@@ -204,7 +205,10 @@ class SheetMesh:
                 return v
             if nearness <= 0.5 and not immovable and self._move(v, point):
                 return v
-        return self._divide_edge(b, c, float(np.clip(share, 0.05, 0.95)))
+        share = float(np.clip(share, 0.05, 0.95))
+        if min(share, 1.0 - share) * np.linalg.norm(self.rest[c] - self.rest[b]) < SHORTEST:
+            return b if share < 0.5 else c
+        return self._divide_edge(b, c, share)
 
     def _immovable(self, v: int, fixed: set[int]) -> bool:
         """Vertices on the line so far, on the border and on lips stay where they are."""

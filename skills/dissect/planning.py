@@ -71,6 +71,7 @@ class PlanningAgent:
         self._depth = config.depth
         self._waiting: Pose | None = None  # where the scissors were before they cut
         self._misses = 0  # times that the jaws closed on nothing
+        self._slipped = False  # what the jaws closed on has left them, or most of it
         self.grasped: Grasped | None = None
         self.clear_view = True
 
@@ -107,6 +108,10 @@ class PlanningAgent:
 
     # ------------------------------------------------------------ grasp and retraction
 
+    def slipped(self) -> None:
+        """The tissue has left the jaws: whoever needs it next grasps anew."""
+        self.grasped, self._slipped = None, True
+
     def take_hold(self, lease: Lease, goal: TrackedGoal, retraction: float) -> Steps[MoveReport]:
         """Grasp at the tracked grasp pixel, then retract along the goal's normal by `retraction` [m], lifting."""
         depth = (yield from self._look(lease, goal)).depth
@@ -120,6 +125,14 @@ class PlanningAgent:
         normal = surface_normal_at(depth, camera, goal.grasp, 20)
         if not np.isfinite(normal).all():
             return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, "the surface at the grasp point cannot be seen")
+        if self._slipped:
+            # What is still between them goes first: a loaded grasper must not move freely.
+            report = yield from wait(
+                lease.move_jaw(GRASPER, self._grasp.jaw_open), "opening the jaws that the tissue slipped from"
+            )
+            if report.status is MoveStatus.FAILED:
+                return report
+            self._slipped = False
         grasp = replace(self._grasp, bite=self._grasp.bite + self._misses * self._grasp.deeper)
         report, self.grasped = yield from take(lease, point, normal, point - middle, grasp)
         self._misses += report.code is Code.GRASP_EMPTY

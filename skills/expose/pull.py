@@ -102,6 +102,11 @@ class Exposure:
         """What the newest pull so far should have done to the edges; None where nothing is expected."""
         return self._steering.forecast() if self._begun else None
 
+    def not_begun(self, code: Code, message: str) -> ExposeOutcome:
+        """The outcome of a run that cannot begin: nothing is pulled, and nothing expected."""
+        self.steps_done, self._begun = 0, False
+        return _Log().outcome(_failed(code, message))
+
     def run(
         self,
         lease: Lease,

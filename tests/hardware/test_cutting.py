@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware.stub.cutting import SheetMesh
+from hardware.stub.cutting import SHORTEST, SheetMesh
 from hardware.stub.sheetmesh import MeshSpacing, triangulate
 from hardware.stub.topology import components, edges_of, triangle_areas
 
@@ -128,6 +128,24 @@ def test_a_slit_as_short_as_one_edge_still_opens():
     mesh.cut(np.stack([a, b]), 1.0, mesh.rest.copy())
 
     assert len(np.unique(mesh.rest, axis=0)) < len(mesh.rest)
+
+
+def test_a_line_that_comes_again_and_again_does_not_divide_an_edge_without_end(monkeypatch):
+    mesh = fresh()
+    cut(mesh, (-6, 0.0), (6, 0.0))
+    monkeypatch.setattr(mesh, "_move", lambda *_: False)  # as beside slivers, whose corners cannot go anywhere
+    pairs, beside, _ = edges_of(mesh.triangles)
+    inner = [pair for pair in pairs[(beside >= 0).all(axis=1)].tolist() if not any(map(mesh._on_border, pair))]
+    near, far = inner[0]
+    for _ in range(12):
+        point = mesh.rest[near] + 0.05 * (mesh.rest[far] - mesh.rest[near])
+        far = mesh._cross_edge(near, far, 0.05, point, set())
+        if far == near:
+            break
+
+    corners = mesh.rest[mesh.triangles]
+    assert far == near
+    assert np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min() >= SHORTEST
 
 
 def test_a_cut_that_misses_the_sheet_changes_nothing():

@@ -13,7 +13,7 @@ from skills.estimate.stretches import attachments
 from skills.tracking.tracks import Tracks
 from tests.skills.goals import straight, tracked_goal
 
-GRID = grid_around(tracked_goal(straight()), 8.0, GridConfig(station_spacing=16.0))
+GRID = grid_around(tracked_goal(straight()), 8.0, GridConfig(station_spacing=16.0, end_inset=6.0))
 CROSSING = np.flatnonzero(GRID.crosses_goal)
 COUNT = len(CROSSING)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.codes import Code
-from hardware.interface import CUTTER, MoveReport, MoveStatus, Pose
+from hardware.interface import CUTTER, GRASPER, MoveReport, MoveStatus, Pose
 from skills.dissect import planning
 from skills.dissect.path import Path
 from skills.dissect.planning import PlanningAgent, PlanningConfig, _insets, _on_goal, retraction_direction
@@ -190,6 +190,29 @@ def test_after_closing_on_nothing_the_next_bite_is_deeper(monkeypatch):
 
     config = GraspConfig()
     assert bites == pytest.approx([config.bite + k * config.deeper for k in range(3)])
+
+
+def test_jaws_that_the_tissue_slipped_from_open_before_they_grasp_anew(monkeypatch):
+    table, cutting, jaws = Table(), agent(), []
+
+    def note(lease, *_):
+        jaws.append(lease.measured_jaw(GRASPER).value)
+        yield from ()
+        return MoveReport(MoveStatus.DONE), Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+
+    monkeypatch.setattr(planning, "take", note)
+    monkeypatch.setattr(planning, "depth_at", lambda depth, pixels, radius: np.full(len(pixels), 0.08))
+    monkeypatch.setattr(planning, "surface_normal_at", lambda *_: np.array([0.0, 0.0, -1.0]))
+    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+    table.bench.grasper.jaw = 0.0
+    cutting.slipped()
+    assert cutting.grasped is None
+    for _ in range(2):
+        table.finish(cutting.take_hold(table.lease, goal(), 0.0))
+        table.bench.grasper.jaw = 0.0
+
+    assert cutting.grasped is not None
+    assert jaws == pytest.approx([GraspConfig().jaw_open, 0.0], abs=0.02)  # only once: then they hold again
 
 
 def test_a_corrective_segment_that_stays_hidden_is_not_cut():

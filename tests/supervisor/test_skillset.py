@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hardware.codes import Code
-from hardware.interface import GRASPER, Array
+from hardware.interface import GRASPER, Array, MoveReport, MoveStatus
 from skills.estimate.elongation import ElongationConfig
 from skills.estimate.graph import EdgeState
 from skills.estimate.grid import Grid, grid_around
@@ -466,8 +466,35 @@ def test_what_an_earlier_pull_should_have_done_is_not_expected_of_a_pull_that_di
 
     outcome = session.expose()
 
-    assert outcome.code is Code.GRASP_EMPTY
+    assert outcome.code is Code.DEPTH_INVALID, "nothing is held, and where to grasp cannot be seen on this bench"
+    assert len(outcome.path) == 0
     assert judged(session, monkeypatch).forecast is None
+
+
+def test_tissue_that_slipped_from_the_jaws_is_grasped_anew_by_the_next_exposure(monkeypatch):
+    session, taken = Session(monkeypatch), []
+    held, run = session.skills.grasped, session.skills._exposure.run
+
+    def slipping(*arguments):
+        outcome = yield from run(*arguments)
+        return replace(outcome, stopped_by=Code.GRASP_SLIPPED)
+
+    def take_hold(lease, tracked, retraction):
+        yield from ()
+        taken.append(retraction)
+        session.skills._agent.grasped = held
+        return MoveReport(MoveStatus.DONE)
+
+    monkeypatch.setattr(session.skills._exposure, "run", slipping)
+    monkeypatch.setattr(session.skills._agent, "take_hold", take_hold)
+    session.expose()
+    assert session.skills.grasped is None
+    monkeypatch.setattr(session.skills._exposure, "run", run)
+    outcome = session.expose()
+
+    assert outcome.stopped_by is Code.EXPOSURE_STEPS_DONE
+    assert taken == [session.skills._config.planning.retraction]
+    assert session.skills.grasped is held
 
 
 def test_the_pull_is_foreseen_with_the_openings_that_are_decided_so_far(monkeypatch):
