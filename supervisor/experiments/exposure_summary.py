@@ -55,14 +55,17 @@ def summary(trials: Sequence[Trial]) -> dict[str, Any]:
 def judgement(runs: Sequence[Run]) -> dict[str, Any]:
     """How the edges across the goal were judged, summed over runs: rates with Wilson's 95 % intervals, and the counts behind them.
 
-    An unknown edge counts as not correct and as not called severed. Edges of one run are not independent: the intervals are too narrow.
+    An unknown edge counts as not correct and as not called severed, but in `accuracy_of_decided`. Edges of one run are not independent: the intervals are too narrow.
     """
     sums: Counter[str] = Counter()
     for run in runs:
         sums.update(run["judged"])
     severed, connected = sums["severed"], sums["connected"]
+    unknown = sums["severed_unknown"] + sums["connected_unknown"]
     rates = {
         "connectivity_accuracy": (_correct(sums), severed + connected),
+        "accuracy_of_decided": (_correct(sums), severed + connected - unknown),
+        "unknown_rate": (unknown, severed + connected),
         "true_severed_rate": (sums["severed_called_severed"], severed),
         "false_severed_rate": (sums["connected_called_severed"], connected),
     }
@@ -141,6 +144,8 @@ def tables(figures: dict[str, Any]) -> list[Table]:
     row("... at the same tension", lambda m: _said(m["visible_area_matched_tension_px"], "{:.0f}"))
     row("... once settled, tears included", lambda m: f"{m['visible_area_settled_px']['mean']:.0f}")
     row("edges judged rightly", lambda m: _percent(m, "connectivity_accuracy"))
+    row("... of those decided", lambda m: _percent(m, "accuracy_of_decided"))
+    row("left unknown", lambda m: _percent(m, "unknown_rate"))
     row("severed edges called severed", lambda m: _percent(m, "true_severed_rate"))
     row("connected edges called severed", lambda m: _percent(m, "false_severed_rate"))
     row("steps until it stopped", lambda m: f"{m['steps']['mean']:.1f}")

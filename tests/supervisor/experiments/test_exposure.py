@@ -186,6 +186,8 @@ def test_rates_are_summed_over_runs_and_unknown_edges_are_not_right():
     figures = judgement([run(judged=ALL_RIGHT), run(judged=PARTLY), run(judged={})])
 
     assert figures["connectivity_accuracy"] == pytest.approx(16 / 20)
+    assert figures["accuracy_of_decided"] == pytest.approx(16 / 18)
+    assert figures["unknown_rate"] == pytest.approx(2 / 20)
     assert figures["true_severed_rate"] == pytest.approx(10 / 12)
     assert figures["false_severed_rate"] == pytest.approx(1 / 8)
     assert figures["wilson"]["connectivity_accuracy"] == (pytest.approx(0.584, abs=1e-3), pytest.approx(0.919, abs=1e-3))
@@ -314,7 +316,7 @@ def test_every_figure_can_be_written_and_said():
     figures = {"scene": "chicken", "trials": 2, "seed": 0, **summary(trials)}
 
     assert "NaN" not in json.dumps(figures)
-    assert [made.row_count for made in tables(figures)] == [12]
+    assert [made.row_count for made in tables(figures)] == [14]
 
 
 # ------------------------------------------------------------ running it
