@@ -166,15 +166,18 @@ class SessionSkills:
     def expose(self, lease: Lease) -> Steps[ExposeOutcome]:
         """Pull the tissue, with a reference image (t_d) before it; grasp it first where nothing is held."""
         park = self._park or lease.measured_cp(CUTTER).value
-        if self._agent.grasped is None and self._tracked is not None and not self._tracked.lost:
-            report = yield from self._agent.take_hold(lease, self._tracked, self._config.planning.retraction)
-            if report.status is MoveStatus.FAILED:
-                return self._exposure.not_begun(report.code, report.message)
-        run = self._exposure.run
-        outcome = yield from run(lease, self.tracked, self._agent.grasped, park, self._mark_reference, self._leave_at)
-        if outcome.stopped_by is Code.GRASP_SLIPPED:
-            self._agent.slipped()
-        return outcome
+        try:
+            if self._agent.grasped is None and self._tracked is not None and not self._tracked.lost:
+                report = yield from self._agent.take_hold(lease, self._tracked, self._config.planning.retraction)
+                if report.status is MoveStatus.FAILED:
+                    return self._exposure.not_begun(report.code, report.message)
+            run = self._exposure.run
+            outcome = yield from run(lease, self.tracked, self._agent.grasped, park, self._mark_reference, self._leave_at)
+            if outcome.stopped_by is Code.GRASP_SLIPPED:
+                self._agent.slipped()
+            return outcome
+        finally:
+            lease.hold()
 
     @property
     def grasped(self) -> Grasped | None:
