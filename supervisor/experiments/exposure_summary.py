@@ -55,7 +55,8 @@ def summary(trials: Sequence[Trial]) -> dict[str, Any]:
 def judgement(runs: Sequence[Run]) -> dict[str, Any]:
     """How the edges across the goal were judged, summed over runs: rates with Wilson's 95 % intervals, and the counts behind them.
 
-    An unknown edge counts as not correct and as not called severed, but in `accuracy_of_decided`. Edges of one run are not independent: the intervals are too narrow.
+    An unknown edge counts as not correct and as not called severed; `accuracy_of_decided` leaves it out. Edges of one run are not
+    independent: the intervals are too narrow.
     """
     sums: Counter[str] = Counter()
     for run in runs:
