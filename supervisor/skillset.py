@@ -164,17 +164,17 @@ class SessionSkills:
         return (yield from self._agent.take_hold(lease, self._tracked, 0.0))
 
     def expose(self, lease: Lease) -> Steps[ExposeOutcome]:
-        """Pull the tissue, with a reference image (t_d) before it; grasp it first where nothing is held."""
+        """Pull the tissue, with a reference image (t_d) before it; grasp it anew first if it slipped from the jaws."""
         park = self._park or lease.measured_cp(CUTTER).value
         try:
-            if self._agent.grasped is None and self._tracked is not None and not self._tracked.lost:
+            if self._agent.slipped and self._tracked is not None and not self._tracked.lost:
                 report = yield from self._agent.take_hold(lease, self._tracked, self._config.planning.retraction)
                 if report.status is MoveStatus.FAILED:
                     return self._exposure.not_begun(report.code, report.message)
             run = self._exposure.run
             outcome = yield from run(lease, self.tracked, self._agent.grasped, park, self._mark_reference, self._leave_at)
             if outcome.stopped_by is Code.GRASP_SLIPPED:
-                self._agent.slipped()
+                self._agent.lose_grasp()
             return outcome
         finally:
             lease.hold()

@@ -58,9 +58,10 @@ class Seen:
 
 
 class PlanningAgent:
-    """Cuts along a tracked goal. Remembers its grasp from attempt to attempt; `grasped` is None when it has none.
+    """Cuts along a tracked goal. Remembers its grasp from attempt to attempt.
 
-    `clear_view` is False while the scissors move over the goal: what the tracker would see then is the instrument.
+    `grasped` is None when it has none, `slipped` whether the jaws are closed on what has left them. `clear_view` is False while the
+    scissors move over the goal: what the tracker would see then is the instrument.
     """
 
     def __init__(self, config: PlanningConfig, grasp: GraspConfig, stereo: StereoConfig, executor: Executor) -> None:
@@ -71,7 +72,7 @@ class PlanningAgent:
         self._depth = config.depth
         self._waiting: Pose | None = None  # where the scissors were before they cut
         self._misses = 0  # times that the jaws closed on nothing
-        self._slipped = False  # what the jaws closed on has left them, or most of it
+        self.slipped = False  # what the jaws closed on has left them, or most of it
         self.grasped: Grasped | None = None
         self.clear_view = True
 
@@ -108,9 +109,9 @@ class PlanningAgent:
 
     # ------------------------------------------------------------ grasp and retraction
 
-    def slipped(self) -> None:
-        """The tissue has left the jaws: whoever needs it next grasps anew."""
-        self.grasped, self._slipped = None, True
+    def lose_grasp(self) -> None:
+        """The tissue has slipped from the jaws: whoever needs it next grasps anew."""
+        self.grasped, self.slipped = None, True
 
     def take_hold(self, lease: Lease, goal: TrackedGoal, retraction: float) -> Steps[MoveReport]:
         """Grasp at the tracked grasp pixel, then retract along the goal's normal by `retraction` [m], lifting."""
@@ -125,14 +126,14 @@ class PlanningAgent:
         normal = surface_normal_at(depth, camera, goal.grasp, 20)
         if not np.isfinite(normal).all():
             return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, "the surface at the grasp point cannot be seen")
-        if self._slipped:
+        if self.slipped:
             # What is still between them goes first: a loaded grasper must not move freely.
             report = yield from wait(
                 lease.move_jaw(GRASPER, self._grasp.jaw_open), "opening the jaws that the tissue slipped from"
             )
             if report.status is MoveStatus.FAILED:
                 return report
-            self._slipped = False
+            self.slipped = False
         grasp = replace(self._grasp, bite=self._grasp.bite + self._misses * self._grasp.deeper)
         report, self.grasped = yield from take(lease, point, normal, point - middle, grasp)
         self._misses += report.code is Code.GRASP_EMPTY

@@ -205,7 +205,7 @@ def test_jaws_that_the_tissue_slipped_from_open_before_they_grasp_anew(monkeypat
     monkeypatch.setattr(planning, "surface_normal_at", lambda *_: np.array([0.0, 0.0, -1.0]))
     cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
     table.bench.grasper.jaw = 0.0
-    cutting.slipped()
+    cutting.lose_grasp()
     assert cutting.grasped is None
     for _ in range(2):
         table.finish(cutting.take_hold(table.lease, goal(), 0.0))

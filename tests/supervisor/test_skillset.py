@@ -466,8 +466,7 @@ def test_what_an_earlier_pull_should_have_done_is_not_expected_of_a_pull_that_di
 
     outcome = session.expose()
 
-    assert outcome.code is Code.DEPTH_INVALID, "nothing is held, and where to grasp cannot be seen on this bench"
-    assert len(outcome.path) == 0
+    assert outcome.code is Code.GRASP_EMPTY
     assert judged(session, monkeypatch).forecast is None
 
 
@@ -482,7 +481,7 @@ def test_tissue_that_slipped_from_the_jaws_is_grasped_anew_by_the_next_exposure(
     def take_hold(lease, tracked, retraction):
         yield from ()
         taken.append(retraction)
-        session.skills._agent.grasped = held
+        session.skills._agent.grasped, session.skills._agent.slipped = held, False
         return MoveReport(MoveStatus.DONE)
 
     monkeypatch.setattr(session.skills._exposure, "run", slipping)
@@ -495,6 +494,19 @@ def test_tissue_that_slipped_from_the_jaws_is_grasped_anew_by_the_next_exposure(
     assert outcome.stopped_by is Code.EXPOSURE_STEPS_DONE
     assert taken == [session.skills._config.planning.retraction]
     assert session.skills.grasped is held
+
+
+def test_an_exposure_says_why_slipped_tissue_could_not_be_grasped_anew_and_expects_nothing(monkeypatch):
+    session = Session(monkeypatch)
+    session.expose()
+    session.skills._agent.lose_grasp()
+
+    outcome = session.expose()
+
+    assert outcome.code is Code.DEPTH_INVALID  # where to grasp is not seen on this bench
+    assert len(outcome.path) == 0
+    assert judged(session, monkeypatch).forecast is None
+    assert session.bench.holding()
 
 
 def test_the_pull_is_foreseen_with_the_openings_that_are_decided_so_far(monkeypatch):
