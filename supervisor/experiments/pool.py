@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import TypeVar
 
 J = TypeVar("J")
@@ -43,7 +44,16 @@ def _prepare_worker() -> None:
 
     from supervisor.warp_start import start_warp
 
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     start_warp()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     logging.disable(logging.WARNING)
+
+
+def _end_with_parent() -> None:
+    """End this worker when the experiment is gone, however it ended: it would go on computing for nobody."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
