@@ -30,8 +30,10 @@ class TouchConfig:
     least: float = 0.02e-3  # [m]; a shorter stride would tell nothing that the force's noise does not hide
     felt: float = 0.1  # [s] after which a command's force is felt: the arm's latency, the gate's filter and a tick
     rise: float = 0.2  # [N] that a stride may add however near the limit is; the gate refuses beyond it
-    stiffness: float = 1.5e3  # [N/m] that is reckoned with at least: tissue that is soft now may come taut
-    stiffening: float = 2.0  # times the stiffness felt last that is reckoned with
+    stiffness: float = 3e3  # [N/m] that is reckoned with at least: tissue that is soft now may come taut
+    stiffening: float = (
+        5.0  # times the stiffness felt last that is reckoned with: a plate's rose from 1.9 to 9 kN/m within 0.3 mm
+    )
     looks: int = 3  # whose greatest stiffness counts: a soft stride after stiff ones may be the arm's backlash
 
     def __post_init__(self) -> None:
@@ -64,7 +66,7 @@ class Touch:
         if not math.isfinite(tension):
             return config.least  # the gate refuses it
         self._look(now, tension)
-        stiffness = config.stiffening * max((config.stiffness, *self._slopes))
+        stiffness = max((config.stiffness, *(config.stiffening * slope for slope in self._slopes)))
         unfelt = sum(length for _, length in self._sent)
         room = (self._limit - tension) / stiffness - unfelt
         if not unfelt:
