@@ -31,9 +31,8 @@ class TouchConfig:
     felt: float = 0.1  # [s] after which a command's force is felt: the arm's latency, the gate's filter and a tick
     rise: float = 0.2  # [N] that a stride may add however near the limit is; the gate refuses beyond it
     stiffness: float = 3e3  # [N/m] that is reckoned with at least: tissue that is soft now may come taut
-    stiffening: float = (
-        5.0  # times the stiffness felt last that is reckoned with: a plate's rose from 1.9 to 9 kN/m within 0.3 mm
-    )
+    # Times the stiffness felt last that is reckoned with: that of a plate on the bench rose from 1.9 to 9 kN/m within 0.3 mm.
+    stiffening: float = 5.0
     looks: int = 3  # whose greatest stiffness counts: a soft stride after stiff ones may be the arm's backlash
 
     def __post_init__(self) -> None:

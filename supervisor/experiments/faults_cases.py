@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 
+from hardware.interface import CUTTER, GRASPER
 from hardware.served.faults import OF_ROBOT
 from hardware.served.faults import Fault as Served
 from supervisor.experiments.faults_skills import ESTIMATING, RETRACTING, SNIPPING
@@ -35,21 +36,20 @@ Fault = Served | Graph
 Moment = tuple[str, float, str]
 Moments = Mapping[Phase, Moment]
 FAULTS: tuple[Fault, ...] = (*Served, *Graph)
-GRASPER_ARM = "PSM1"
 # What a skill does in a phase, how long into it the fault comes [s], and the arm at work.
 MOMENTS: Moments = {
-    Phase.APPROACH: ("lowering the grasper", 0.4, "PSM1"),
-    Phase.GRASP: ("closing the grasper", 0.4, "PSM1"),
-    Phase.RETRACT: (RETRACTING, 0.4, "PSM1"),
-    Phase.CUT: (SNIPPING, 0.3, "PSM2"),
-    Phase.EXPOSE: ("exposing: step 3", 0.1, "PSM1"),
-    Phase.ESTIMATE: (ESTIMATING, 0.3, "PSM1"),
+    Phase.APPROACH: ("lowering the grasper", 0.4, GRASPER),
+    Phase.GRASP: ("closing the grasper", 0.4, GRASPER),
+    Phase.RETRACT: (RETRACTING, 0.4, GRASPER),
+    Phase.CUT: (SNIPPING, 0.3, CUTTER),
+    Phase.EXPOSE: ("exposing: step 3", 0.1, GRASPER),
+    Phase.ESTIMATE: (ESTIMATING, 0.3, GRASPER),
 }
 
 
 def arm_of(fault: Fault, phase: Phase) -> str:
     """The arm that it befalls: the one at work; tissue is lost by the one that holds it."""
-    return GRASPER_ARM if fault is Served.JAW_SLIPS else MOMENTS[phase][2]
+    return GRASPER if fault is Served.JAW_SLIPS else MOMENTS[phase][2]
 
 
 def inject(stand: Robot, fault: Fault, arm: str) -> None:

@@ -20,6 +20,7 @@ from behaviours.session_outcome import SessionOutcome
 from hardware.codes import Code
 from hardware.dvrk.config import SpeedConfig
 from hardware.gate import Decision
+from hardware.interface import CUTTER, GRASPER
 from hardware.served.faults import Fault as Served
 from hardware.served.node import Serving
 from hardware.stub.scene import Scene, load_scene
@@ -45,21 +46,21 @@ PICTURES = 10.0  # [Hz]; to draw them takes most of the time
 SEED = 4
 ATTEMPTS = 2
 FAST = SpeedConfig(ratio=0.3, linear=0.05, angular=1.5)  # as fast as the configuration of a robot may be
-CUTTER = "CURVED_SCISSORS:400178"  # they open wide: the goal takes two snips
+SCISSORS = "CURVED_SCISSORS:400178"  # they open wide: the goal takes two snips
 JUDGING = 1.0  # [s] that an estimate takes here: on a robot it is made beside the ticks, and time goes on
 FOLLOWED = 90.0  # [s] for a session in which nobody noticed anything to come to its end
 ESTIMATING = "estimating what is still attached"
 # As `faults_cases.MOMENTS`, in the words of the real skills.
 WHOLE_MOMENTS: Moments = {
-    Phase.APPROACH: ("lowering the grasper", 0.4, "PSM1"),
-    Phase.GRASP: ("closing the grasper", 0.4, "PSM1"),
-    Phase.RETRACT: ("retracting along the goal's normal", 0.4, "PSM1"),
-    Phase.CUT: ("segment 1 of 1: snip 1", 1.5, "PSM2"),
-    Phase.EXPOSE: ("exposing: step 3", 0.1, "PSM1"),
-    Phase.ESTIMATE: (ESTIMATING, 0.3, "PSM1"),
+    Phase.APPROACH: ("lowering the grasper", 0.4, GRASPER),
+    Phase.GRASP: ("closing the grasper", 0.4, GRASPER),
+    Phase.RETRACT: ("retracting along the goal's normal", 0.4, GRASPER),
+    Phase.CUT: ("segment 1 of 1: snip 1", 1.5, CUTTER),
+    Phase.EXPOSE: ("exposing: step 3", 0.1, GRASPER),
+    Phase.ESTIMATE: (ESTIMATING, 0.3, GRASPER),
 }
 # While the grasper closes nothing is held that could be lost: it is a moment later.
-LATER: Mapping[tuple[Fault, Phase], Moment] = {(Served.JAW_SLIPS, Phase.GRASP): ("testing the grasp", 0.0, "PSM1")}
+LATER: Mapping[tuple[Fault, Phase], Moment] = {(Served.JAW_SLIPS, Phase.GRASP): ("testing the grasp", 0.0, GRASPER)}
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class WholeStand(Watched):
     """One session, recorded into `folder`. `play` runs it beside a story, which goes on by one step after each tick."""
 
     def __init__(self, folder: Path, shown: Scene | None = None) -> None:
-        super().__init__(folder / "site", shown or small_scene(), False, Serving(pictures=PICTURES), CUTTER, FAST)
+        super().__init__(folder / "site", shown or small_scene(), False, Serving(pictures=PICTURES), SCISSORS, FAST)
         skills = fitted(SkillConfig(exposure=ExposureKind.GOAL_NORMAL), self.config)
         setup = SessionSetup(self.goal, SEED, ATTEMPTS, skills=skills, calibration="hand-eye of the served stub")
         self.record = Split(folder / "record", {"bench": "dvrk", "seed": SEED, "skills": asdict(skills)})
