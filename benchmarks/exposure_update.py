@@ -69,7 +69,7 @@ def scene(side: int, samples: int, horizon: int, threads: int) -> Scene:
     planning = PlannerConfig(mppi=config, xpbd=XpbdConfig(substeps=2, iterations=10))
     limits = Limits(grasp - 0.03, grasp + 0.03, TENSION, STRAIN)
     planner = Planner(model, surface, region, CAMERA, limits, planning, np.random.default_rng(1), "cpu", threads)
-    planner.begin(toward)
+    planner.begin(toward, grasp)
     return Scene(
         config=config,
         model=model,

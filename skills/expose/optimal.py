@@ -169,7 +169,7 @@ class SteeringOptimal:
             planner = Planner(model, surface, region, camera, limits, planning, self._rng, config.device, config.threads)
         except ValueError as error:
             return no_model(error)
-        planner.begin(_first_guess(seen.goal, tissue.depth, camera, surface))
+        planner.begin(_first_guess(seen.goal, tissue.depth, camera, surface), seen.grasp)
         preload = seen.tension if math.isfinite(seen.tension) else 0.0
         return _Run(config, model, planner, expected, preload)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hardware.codes import Code
 from hardware.interface import Array, CameraModel
+from skills.expose.ground import Ground
 from skills.expose.hypotheses import BELIEVED, CONNECTED
 from skills.expose.model import TissueModel
 from skills.expose.mppi import MppiConfig, adapted, controls, perturbations, shifted, updated
@@ -23,6 +24,7 @@ from skills.expose.visibility import LossWeights, Terms, Visibility, VisibilityC
 from skills.expose.xpbd import State, XpbdConfig, XpbdSolver
 from skills.scene.surface import Surface
 
+SINK = 0.3e-3  # [m] that the jaws may go deeper into the surface seen at t_d than they were then: about its error
 STEPS_LIMITED = 2  # of the plan, whose expected tension and strain are kept within their limits
 
 
@@ -45,6 +47,7 @@ class PlannerConfig:
     opening: float = 1.0  # lambda_o, of the opening in units of the goal's length times the band
     tension: float = 0.1  # lambda_T, of the expected tension in units of the budget
     overload: float = 10.0  # of the square of what exceeds the budget
+    guide: float = 15.0  # [1/m] of the way along the first guess, which counts where the model expects nothing of any way
     smooth: bool = True
     xpbd: XpbdConfig = field(default_factory=XpbdConfig)
     region: RegionConfig = field(default_factory=RegionConfig)
@@ -137,13 +140,15 @@ class Planner:
         band = float(np.ptp(region.lateral)) + region.spacing[0]
         self._area = surface.goal_length * band
         self._smoother = Smoother(config.smoothing, mppi.horizon)
-        self._floor = model.floor
+        self._ground = Ground(surface)
         self._nominal: Array | None = None
 
-    def begin(self, guess: Array) -> None:
-        """Start from a pull along `guess` (3,), a direction."""
+    def begin(self, guess: Array, gripper: Array) -> None:
+        """Start from a pull along `guess` (3,), a direction, of the jaws that are at `gripper` (3,) [m]."""
         step = guess / max(float(np.linalg.norm(guess)), 1e-12) * self._config.mppi.max_step
         self._nominal = np.tile(step, (self._config.mppi.horizon, 1))
+        self._guess = step / self._config.mppi.max_step
+        self._lowest = min(float(self._ground.height(gripper)), 0.0) - SINK
 
     def update(self, state: State, now: Situation) -> Plan:
         """One update of the plan from the model's `state`, of which the first step is to be executed.
@@ -196,17 +201,15 @@ class Planner:
         if config.objective is Objective.OPENING:
             load = tension / self._limits.tension
             costs = costs + (config.tension * load + config.overload * np.maximum(load - 1.0, 0.0) ** 2).sum(axis=0)
+            costs = costs - config.guide * (np.cumsum(samples, axis=1) @ self._guess).sum(axis=1)
         return costs, feasible
 
     def _within(self, samples: Array, now: Situation) -> NDArray[np.bool_]:
-        """Which samples (K,) keep the jaws in the workspace and above the tissue's own floor at every step."""
+        """Which samples (K,) keep the jaws in the workspace and out of the ground at every step."""
         path = now.gripper + np.cumsum(samples, axis=1)
         inside = ((path >= self._limits.low) & (path <= self._limits.high)).all(axis=(1, 2))
-        if self._floor is None:
-            return np.asarray(inside)
-        height = path @ self._floor[:3] + self._floor[3]
-        start = float(now.gripper @ self._floor[:3] + self._floor[3])
-        return np.asarray(inside & (height >= min(start, 0.0)).all(axis=1))
+        lowest = min(float(self._ground.height(now.gripper)), self._lowest)
+        return np.asarray(inside & (self._ground.height(path) >= lowest).all(axis=1))
 
     def _smoothed(
         self, nominal: Array, samples: Array, tension: Array, strain: Array, now: Situation

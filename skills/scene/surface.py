@@ -35,7 +35,7 @@ class SurfaceConfig:
     fit: FitConfig = field(default_factory=FitConfig)
     goal_band: float = 6e-3  # [m] around the goal in which its depth is measured
     min_measured: float = 0.5  # share of the vertices that saw depth
-    max_residual: float = 0.5e-3  # [m] robust standard deviation of the depth about the surface
+    max_residual: float = 0.5e-3  # [m] robust standard deviation of the depth's distance from the surface
     max_rejected: float = 0.3  # share of the depth that fits no smooth surface
     min_vertices: int = 60
     max_vertices: int = 4000
@@ -238,7 +238,10 @@ def _judged(
     if measured < config.min_measured:
         fault = f"Depth is known at {measured:.0%} of the surface around the goal, {config.min_measured:.0%} is needed."
         return SurfaceOutcome(Code.DEPTH_INVALID, fault)
-    residual = fit.residual * z * z / (camera.focal * camera.baseline)
+    centres = surface.vertices[surface.triangles].mean(axis=1)
+    facing = -(mesh.face_normals * centres).sum(axis=1) / np.linalg.norm(centres, axis=1)
+    # From disparity to depth along the ray, and from there to the distance from a surface that is seen at a slant.
+    residual = fit.residual * z * z / (camera.focal * camera.baseline) * float(np.median(facing))
     if residual > config.max_residual:
         figures = f"{residual * 1e3:.2f} mm, {config.max_residual * 1e3:.2f} mm is allowed"
         return _invalid(f"the depth scatters about it by {figures}")
@@ -247,8 +250,6 @@ def _judged(
     deepest = float(surface.vertices[:, 2].max())
     if deepest > config.max_depth_ratio * z:
         return _invalid(f"it runs away to a depth of {deepest * 1e3:.0f} mm, while the goal lies at {z * 1e3:.0f} mm")
-    centres = surface.vertices[surface.triangles].mean(axis=1)
-    facing = -(mesh.face_normals * centres).sum(axis=1) / np.linalg.norm(centres, axis=1)
     slanted = float((facing < np.cos(np.deg2rad(config.max_slant))).mean())
     if slanted > config.max_slanted:
         return _invalid(f"{slanted:.0%} of its triangles are seen edge on; it runs through a step in depth")

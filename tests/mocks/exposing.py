@@ -39,9 +39,9 @@ TISSUE = ModelConfig(
 )
 
 
-def sheet(goal: float = 20e-3) -> Surface:
-    """A flat square of 50 mm with a `goal` [m] along y in its middle, as the mock bench's camera sees it."""
-    made = surface(21, goal=goal)
+def sheet(goal: float = 20e-3, bump: float = 0.0) -> Surface:
+    """A square of 50 mm with a `goal` [m] along y in its middle, as the mock bench's camera sees it; flat without a `bump` [m]."""
+    made = surface(21, bump=bump, goal=goal)
     scale = CAMERA.focal / DEPTH * PIXEL
     return replace(
         made,

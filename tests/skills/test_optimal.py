@@ -161,9 +161,9 @@ def test_where_the_depth_beside_the_goal_is_unknown_the_first_guess_comes_from_t
     guesses: list[Array] = []
     begin = Planner.begin
 
-    def noted(self: Planner, guess: Array) -> None:
+    def noted(self: Planner, guess: Array, gripper: Array) -> None:
         guesses.append(guess)
-        begin(self, guess)
+        begin(self, guess, gripper)
 
     monkeypatch.setattr(Planner, "begin", noted)
 

@@ -10,10 +10,11 @@ import pytest
 
 from hardware.codes import Code
 from hardware.interface import Array
+from skills.expose.ground import Ground
 from skills.expose.hypotheses import BELIEVED, CONNECTED
 from skills.expose.model import TissueModel, build_model
 from skills.expose.mppi import MppiConfig
-from skills.expose.planner import Limits, Objective, Plan, Planner, PlannerConfig, Situation
+from skills.expose.planner import SINK, Limits, Objective, Plan, Planner, PlannerConfig, Situation
 from skills.expose.region import region_around
 from skills.expose.smoothing import SmoothingConfig
 from skills.expose.xpbd import State, XpbdSolver, rest_state
@@ -46,9 +47,10 @@ class Pull:
         seed: int = 0,
         limits: Limits = ROOMY,
         sampling: dict[str, Any] | None = None,
+        bump: float = 0.0,
         **settings: Any,
     ) -> None:
-        seen = sheet()
+        seen = sheet(bump=bump)
         self.model: TissueModel = build_model(seen, grasp, TISSUE)
         mppi = MppiConfig(**{"samples": SAMPLES, "horizon": HORIZON, "max_step": STEP} | (sampling or {}))
         config = PlannerConfig(objective=objective, mppi=mppi, **WEIGHTS | settings)
@@ -61,7 +63,7 @@ class Pull:
         self.tension = 0.0  # [N] on the jaws after the last move
 
     def begin(self, guess: Array = ACROSS) -> Pull:
-        self.planner.begin(guess)
+        self.planner.begin(guess, self.now.gripper)
         return self
 
     def update(self) -> Plan:
@@ -198,20 +200,30 @@ def test_without_any_path_in_the_workspace_the_jaws_hold():
     assert plan.feasible == 0.0
 
 
-@pytest.mark.parametrize("above", [0.0, 0.3e-3])
-def test_the_jaws_are_not_pushed_into_the_bed(above):
-    pull = Pull().begin(ACROSS - UP)
-    bed = pull.model.floor
-    assert bed is not None
+@pytest.mark.parametrize("bump", [0.0, 3e-3])
+@pytest.mark.parametrize("above", [-1e-3, 0.0, 0.5e-3])
+def test_the_jaws_are_not_pushed_into_the_bed(bump, above):
+    """Also where the surface is high above its lowest place, and so above the model's floor."""
+    seen = sheet(bump=bump)
+    on_it = seen.vertices[np.argmin(np.linalg.norm(seen.vertices[:, :2] - GRASP[:2], axis=1))]
+    pull = Pull(grasp=on_it, bump=bump)
+    pull.now = replace(pull.now, gripper=on_it + above * UP)
+    pull.begin(-UP)
 
-    def height() -> float:
-        return float(pull.now.gripper @ bed[:3] + bed[3])
+    pull.go(6)
 
-    pull.now = replace(pull.now, gripper=pull.now.gripper + (above - height()) * bed[:3])
+    assert Ground(seen).height(pull.now.gripper) > min(above, 0.0) - SINK - 0.05e-3
 
-    pull.go(4)
 
-    assert height() > -0.05e-3
+def test_where_no_way_is_expected_to_show_anything_the_jaws_go_on_along_the_first_guess():
+    """Without a guide they would give way to the tension."""
+    nothing = {"camera": 0.0, "deform": 0.0, "opening": 0.0}
+    guided, free = (Pull(guide=guide, **nothing).begin(ACROSS) for guide in (15.0, 0.0))
+    guided.go(12)
+    free.go(12)
+
+    assert (guided.now.gripper - GRASP) @ ACROSS > 5e-3
+    assert (free.now.gripper - GRASP) @ ACROSS < 3e-3
 
 
 def test_tension_that_no_step_can_bring_within_its_limit_lets_the_jaws_hold():

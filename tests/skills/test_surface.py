@@ -319,6 +319,12 @@ def noisy() -> Array:
     return FB / (FB / plane(U, V) + np.random.default_rng(0).uniform(-2.0, 2.0, U.shape))
 
 
+def scattered(across: float) -> Array:
+    """Depth along the rays off by 0.65 mm, on a surface whose slope against the picture is `across`."""
+    y = (V - CAMERA.cv) / CAMERA.focal
+    return 0.075 / (1.0 - across * y) + np.random.default_rng(0).normal(0.0, 0.65e-3, U.shape)
+
+
 def doubtful() -> Array:
     wild = np.random.default_rng(0).random(U.shape) < 0.35
     return np.where(wild, 0.045, plane(U, V))
@@ -356,6 +362,12 @@ def test_a_picture_that_shows_too_little_is_refused_with_a_sentence(given_, code
     assert outcome.code is code
     assert words in outcome.message
     assert outcome.surface is None
+
+
+def test_scatter_is_judged_by_the_distance_from_the_surface():
+    """The same error along the ray is less of one where the surface is seen at a slant."""
+    assert look(depth=scattered(0.0)).code is Code.SURFACE_INVALID
+    assert look(depth=scattered(1.2)).code is Code.OK
 
 
 def test_a_surface_through_a_step_in_depth_is_refused():
