@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hardware.codes import Code
-from hardware.interface import Endoscope, MoveHandle, MoveReport, MoveStatus, Pose, Stamped
+from hardware.interface import Array, Endoscope, MoveHandle, MoveReport, MoveStatus, Pose, Stamped
 from hardware.limits import Limits
 
 if TYPE_CHECKING:
@@ -69,6 +69,10 @@ class Lease:
     def measured_jaw(self, arm: str) -> Stamped[float]:
         """Measured full jaw opening of `arm` [rad]."""
         return self._gate.bench.arms[arm].measured_jaw()
+
+    def measured_cf(self, arm: str) -> Stamped[Array]:
+        """Estimated force (3,) [N] on the tip of `arm`, left camera frame, as noisy as it is read."""
+        return self._gate.bench.arms[arm].measured_cf()
 
     def tension(self) -> float:
         """Give the filtered force on the grasper [N]; NaN when unknown."""

@@ -6,6 +6,7 @@ empty, and what is left are the very motions that the skills of a session make, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeVar, cast
@@ -220,7 +221,7 @@ class PhaseSkills:
 
 def fitted_grasp(config: SkillConfig) -> SkillConfig:
     """With a test pull that any catch passes: a coarse sheet is softer, and whether it was caught is not the question here."""
-    return replace(config, grasp=replace(config.grasp, least_tension=0.0))
+    return replace(config, grasp=replace(config.grasp, least_tension=-math.inf))
 
 
 def _severed() -> ConnectivityGraph:
