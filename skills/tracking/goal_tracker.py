@@ -15,7 +15,7 @@ from skills.scene.polyline import arc_lengths, left_normals, resample, side_of
 from skills.scene.tissue import TissueConfig, hidden_mask, tissue_mask
 from skills.tracking.dis import TrackerDIS
 from skills.tracking.placed import neighbours, placed
-from skills.tracking.relocate import RelocateConfig, relocate
+from skills.tracking.relocate import RelocateConfig, flowed, relocate
 from skills.tracking.rows import RowConfig, smooth_row
 from skills.tracking.stepwise import TrackerConfig
 from skills.tracking.tracker import PointTracker
@@ -145,18 +145,28 @@ class GoalTracker:
         Tissue that slipped from the jaws looks as it did before it was pulled, so older pictures are asked as well. The keypoints of an
         older reference are lost by that: all of them stay unseen.
         """
-        for image, seen in (self._known[name] for name in ("newest", "reference", "drawn") if name in self._known):
-            near, far = (relocate(image, frame.image, row, hidden, self.config.relocate) for row in (seen.near, seen.far))
-            if near is None or far is None:
-                continue
-            grasp = seen.grasp + np.median(near - seen.near, axis=0)
-            points, sides = (np.zeros((0, 2)), np.zeros(0, dtype=bool))
-            if self._grid is not None:
-                points, sides = self._grid.points, self._grid.near_side
-            self._begin(frame, near, far, grasp, points, sides)
-            self._grid_valid = False
-            return self._read()
+        config = self.config.relocate
+        tissue = tissue_mask(frame.image, self.config.tissue) & ~hidden
+        known = [self._known[name] for name in ("newest", "reference", "drawn") if name in self._known]
+        for image, seen in known:
+            near, far = (relocate(image, frame.image, row, hidden, config) for row in (seen.near, seen.far))
+            if near is not None and far is not None:
+                return self._laid_anew(frame, seen, near, far)
+        for image, seen in known:
+            rows = flowed(image, frame.image, (seen.near, seen.far), tissue, config)
+            if rows is not None:
+                return self._laid_anew(frame, seen, *rows)
         return None
+
+    def _laid_anew(self, frame: Frame, seen: TrackedGoal, near: Array, far: Array) -> TrackedGoal:
+        """Follow both rows from where they were found again."""
+        grasp = seen.grasp + np.median(near - seen.near, axis=0)
+        points, sides = (np.zeros((0, 2)), np.zeros(0, dtype=bool))
+        if self._grid is not None:
+            points, sides = self._grid.points, self._grid.near_side
+        self._begin(frame, near, far, grasp, points, sides)
+        self._grid_valid = False
+        return self._read()
 
     def _read(self) -> TrackedGoal:
         """Make the goal from the tracker's points."""

@@ -1,7 +1,9 @@
-"""Where a row of points has gone after a jump that no flow could follow: a snip may let tissue spring by a fifth of the picture at once.
+"""Where a row of points is that was lost from sight, by an older picture that showed it.
 
-Each point's surroundings on the last picture that showed it are searched for in a wide window of the new one. Single matches may be
-wrong, so the row as a whole decides: matches that lie off a smooth row are put aside, and a row that no tissue could have become is none.
+A snip may let tissue spring by a fifth of the picture at once: no flow follows that, so each point's surroundings are searched for in a
+wide window. Single matches may be wrong, so the row as a whole decides: matches that lie off a smooth row are put aside, and a row that
+no tissue could have become is none. Tissue that was hidden for a while and has hardly moved is found by flow straight from the older
+picture, also where it is creased and single matches go astray.
 """
 
 from __future__ import annotations
@@ -13,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array, Image
+from skills.tracking.flow import FlowDIS, box_around, cut_out, sampled
 from skills.tracking.patches import patches_at
+from skills.tracking.picture import picture_of
 from skills.tracking.rows import RowConfig, smooth_row
 
 
@@ -27,6 +31,8 @@ class RelocateConfig:
     least: float = 0.5  # share of the row's points that must be found on one smooth row
     shrunk: float = 0.4  # least and
     stretched: float = 2.5  # most that the distance between neighbours may have become, as a share
+    surroundings: int = 5  # within which contrast is made even for the flow
+    agreement: float = 2.0  # of the flow's way there and back, for a point to be found
     patience: int = 3  # updates that a goal is lost before it is searched for
     rows: RowConfig = field(default_factory=RowConfig)
 
@@ -52,3 +58,25 @@ def relocate(before: Image, now: Image, row: Array, hidden: NDArray[np.bool_], c
     laid, became = (np.linalg.norm(np.diff(points, axis=0), axis=1) for points in (row, smooth))
     likely = (became >= config.shrunk * laid).all() and (became <= config.stretched * laid).all()
     return smooth if good.mean() >= config.least and likely else None
+
+
+def flowed(
+    before: Image, now: Image, rows: tuple[Array, Array], tissue: NDArray[np.bool_], config: RelocateConfig
+) -> tuple[Array, Array] | None:
+    """Follow both `rows` (M, 2) from picture `before` to `now`, whatever was between; None where too little of either is found.
+
+    `tissue` (H, W) is where tissue is seen now: a point is found there, and only if the way back agrees.
+    """
+    flow, count = FlowDIS("medium"), len(rows[0])
+    points = np.vstack(rows)
+    box = box_around(points, config.reach, now.shape[1::-1])
+    corner = np.array(box[:2], dtype=np.float64)
+    old, new = (cut_out(flow.sees(picture_of(image, config.surroundings, box)), box) for image in (before, now))
+    there = sampled(flow.flow(old, new), points - corner)
+    found = points + there
+    error = np.linalg.norm(there + sampled(flow.flow(new, old), found - corner), axis=1)
+    u, v = np.clip(np.rint(found).astype(np.int64), 0, [now.shape[1] - 1, now.shape[0] - 1]).T
+    agrees, trust = (error <= config.agreement) & tissue[v, u], 1.0 / (1.0 + error)
+    parts = (slice(0, count), slice(count, None))
+    (near, near_good), (far, far_good) = (smooth_row(points[p], found[p], agrees[p], trust[p], config.rows) for p in parts)
+    return (near, far) if min(near_good.mean(), far_good.mean()) >= config.least else None

@@ -216,6 +216,27 @@ def excess_at(middle: int, widths: list[float], due: float = 3.0) -> float:
     return float(evidence(GRID, GRID.points, pulled(2.0, opened), expected).excess[CROSSING[middle]])
 
 
+def strand_at(middle: int, width: float, beside: float) -> EdgeState:
+    """What the edge is called that opened `width` [px] to the bed while all others opened `beside`."""
+    widths = np.full(COUNT, beside)
+    widths[middle] = width
+    return EdgeState(judge(pulled(3.0, parted=widths, bed=widths)).state[CROSSING[middle]])
+
+
+def test_an_edge_that_runs_along_a_strand_in_a_wide_opening_is_not_severed():
+    assert strand_at(4, 3.8, 30.0) is EdgeState.UNKNOWN
+    assert strand_at(4, 12.0, 30.0) is EdgeState.SEVERED
+
+
+@pytest.mark.parametrize("middle", [0, COUNT - 1])
+def test_the_narrow_end_of_an_opening_is_no_strand(middle):
+    assert strand_at(middle, 3.8, 30.0) is EdgeState.SEVERED
+
+
+def test_beside_narrow_openings_a_narrower_one_is_no_strand():
+    assert strand_at(4, 3.0, 7.0) is EdgeState.SEVERED
+
+
 def test_an_opening_alone_is_compared_with_what_was_expected_of_its_own_edge():
     assert excess_at(COUNT // 2, [0.0, 6.0, 0.0]) == pytest.approx(np.log(2.0))
     assert excess_at(1, [0.0, 2.0, 0.0]) == pytest.approx(np.log(2.0 / 3.0))

@@ -7,7 +7,7 @@ import pytest
 from hardware.interface import Array
 from skills.scene.goal import Goal
 from skills.tracking.goal_tracker import GoalTracker
-from skills.tracking.relocate import RelocateConfig, relocate
+from skills.tracking.relocate import RelocateConfig, flowed, relocate
 from tests.skills.pictures import SIZE, coloured, frame, speckle
 
 ROW = np.column_stack([np.linspace(90.0, 230.0, 16), np.full(16, 110.0)])
@@ -76,6 +76,37 @@ def test_under_a_tool_nothing_is_found():
     hidden[:, 80:210] = True
 
     assert relocate(picture, picture, ROW, hidden, RelocateConfig()) is None
+
+
+ROWS = ROW, ROW + np.array([0.0, 30.0])
+ALL_TISSUE = ~NOTHING_HIDDEN
+
+
+def test_rows_are_found_by_flow_where_single_matches_go_astray():
+    """Creased tissue: every few pixels go another way, so that no patch looks as it did, but nothing went far."""
+    texture = speckle(14)
+    u, v = np.meshgrid(np.arange(SIZE[0], dtype=np.float32), np.arange(SIZE[1], dtype=np.float32))
+    crease = 3.0 * np.sin(u / 6.0).astype(np.float32)
+    now = cv2.remap(texture, u, v - crease, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    config = RelocateConfig(likeness=0.95)
+
+    found = flowed(coloured(texture, 1.5, 0), coloured(now, 1.5, 1), ROWS, ALL_TISSUE, config)
+
+    assert relocate(coloured(texture, 1.5, 0), coloured(now, 1.5, 1), ROW, NOTHING_HIDDEN, config) is None
+    assert found is not None
+    for row, there in zip(ROWS, found, strict=True):
+        assert np.abs(there - row)[:, 0].max() < 1.5
+        assert np.abs(there - row)[:, 1].max() < 4.5
+
+
+def test_by_flow_nothing_is_found_on_another_picture_or_where_there_is_no_tissue():
+    texture = speckle(15)
+    bed = ALL_TISSUE.copy()
+    bed[100:125] = False
+
+    assert flowed(coloured(texture, 1.5, 0), coloured(speckle(16), 1.5, 1), ROWS, ALL_TISSUE, RelocateConfig()) is None
+    assert flowed(coloured(texture, 1.5, 0), coloured(texture, 1.5, 1), ROWS, bed, RelocateConfig()) is None
+    assert flowed(coloured(texture, 1.5, 0), coloured(texture, 1.5, 1), ROWS, ALL_TISSUE, RelocateConfig()) is not None
 
 
 def test_a_lost_goal_is_followed_again_and_its_old_keypoints_stay_unseen():
