@@ -277,7 +277,8 @@ class SessionSkills:
     def _look_now(self, tracker: GoalTracker) -> Look:
         gaps = tracker.gaps()
         assert gaps is not None, "there is a look at the grid only after the reference"
-        return Look(self._exposure.steps_done, tracker.grid_tracks()[1], tracker.placed(), gaps.parted(), gaps.bed())
+        steps, tracks = self._exposure.steps_done, tracker.grid_tracks()[1]
+        return Look(steps, tracks, tracker.placed(), gaps.parted(), gaps.bed(), gaps.stranded())
 
     def _leave_at(self, steps: int) -> int:
         """Where the tissue is left after a pull: where enough is in sight; straight pulls, and those of all steps, end as in the paper."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array, Image
+from skills.estimate.strand import strands_between
 from skills.tracking.median import median
 
 LEVEL_WINDOW = 7  # edges, of the running median of how bright the tissue at their ends was at t_d
@@ -91,21 +92,36 @@ class GapWatch:
         self._levels = [_running_median(profile.level, LEVEL_WINDOW) for profile in profiles]
         self._last = np.full((2, len(edges)), np.nan)
         self._widest = self._last.copy()
+        self._crossing = crossing
+        self._strands_last = np.full(max(len(crossing) - 1, 0), np.nan)
+        self._strands = np.zeros(len(self._strands_last), dtype=bool)
         self.look(image, points, np.ones(len(points), dtype=bool))
 
     def look(self, image: Image, points: Array, seen: NDArray[np.bool_], hidden: NDArray[np.bool_] | None = None) -> None:
         """Look at a new picture; edges with an end that is not `seen` (N,), or that pass what hides the tissue (H, W), are left out."""
         now, brightness = np.full_like(self._last, np.inf), _brightness(image)
+        free: NDArray[np.bool_] = np.asarray(seen[self._edges].all(axis=1))
+        if hidden is not None:
+            free &= ~_pass_under(hidden, points[self._edges])
         for (place, which), darkest, level in zip(self._places, self._darkest, self._levels, strict=True):
             profiles = _profiles(brightness, *self._lines(points, place, which), self._config)
             least = STILL_AS_BRIGHT * level * _typical(profiles.level / np.maximum(level, 1.0))
             now[:, which] = np.minimum(now[:, which], _openings(profiles, self._config, darkest, least))
-        free = seen[self._edges].all(axis=1)
-        if hidden is not None:
-            free &= ~_pass_under(hidden, points[self._edges])
+            if place == 0.0 and which is self._crossing:
+                self._look_between(brightness, points, profiles, least, free[which])
         now = np.where(free, now, np.nan)
         self._widest = np.fmax(self._widest, np.minimum(now, self._last))
         self._last = now
+
+    def _look_between(
+        self, brightness: NDArray[np.uint8], points: Array, profiles: _Profiles, least: Array, free: NDArray[np.bool_]
+    ) -> None:
+        """Look for strands between the edges across the goal. One that was seen twice in a row is there until it is missed twice."""
+        level = np.where(free, np.fmax(profiles.level, least), np.nan)
+        openings = _bed_place(profiles, level, self._config)
+        now = strands_between(brightness, points[self._edges[self._crossing]], openings, level)
+        self._strands = np.where(now == self._strands_last, now == 1.0, self._strands)
+        self._strands_last = now
 
     def _lines(self, points: Array, place: float, which: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
         """Ends (2 C, 2) and pairs (C, 2) of lines beside the edges `which` (C,), `place` of the way to the next (below 0: the last) one."""
@@ -122,6 +138,15 @@ class GapWatch:
     def bed(self) -> Array:
         """Width (E,) [px] of the bed seen through the widest opening so far; nan as in `parted`."""
         return self._widest[1].copy()
+
+    def stranded(self) -> NDArray[np.bool_]:
+        """Which edges (E,) have a strand between them and the next edge across the goal, to either side."""
+        beside = np.zeros(len(self._crossing), dtype=bool)
+        beside[:-1] |= self._strands
+        beside[1:] |= self._strands
+        edges = np.zeros(len(self._edges), dtype=bool)
+        edges[self._crossing] = beside
+        return edges
 
     def decided(self) -> Array:
         """Width (E,) [px] of the openings that tell for certain: 0 where nothing opened, that of the bed where it is seen.
@@ -203,6 +228,17 @@ def _openings(
     return parted, bed
 
 
+def _bed_place(profiles: _Profiles, level: Array, config: GapConfig) -> Array:
+    """Where (E, 2) the longest run as dark as the bed begins and ends, as shares of the edge; nan where there is none."""
+    inside, rows = profiles.inside & np.isfinite(level), profiles.rows
+    place = np.full((len(inside), 2), np.nan)
+    if inside.any():
+        dark = rows[inside[profiles.inside]] < config.bed * np.maximum(level[inside, None], 1.0)
+        run, end = _runs(dark).max(axis=1), _runs(dark).argmax(axis=1) + 1
+        place[inside] = np.where(run[:, None] > 0, np.column_stack([end - run, end]) / rows.shape[1], np.nan)
+    return place
+
+
 def _darkest(profiles: _Profiles) -> Array:
     darkest = np.full(len(profiles.inside), np.nan)
     if profiles.inside.any():
@@ -225,10 +261,14 @@ def _longest_run(dark: NDArray[np.bool_]) -> Array:
     longest = np.zeros(len(dark))
     some = dark.any(axis=1)
     if some.any():
-        place = np.arange(1, dark.shape[1] + 1, dtype=np.int32)
-        since = np.maximum.accumulate(np.where(dark[some], np.int32(0), place), axis=1)
-        longest[some] = (place - since).max(axis=1)
+        longest[some] = _runs(dark[some]).max(axis=1)
     return longest
+
+
+def _runs(dark: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Length (E, T) of the run of True that ends at each place; 0 where there is none."""
+    place = np.arange(1, dark.shape[1] + 1, dtype=np.int32)
+    return np.asarray(place - np.maximum.accumulate(np.where(dark, np.int32(0), place), axis=1))
 
 
 def _running_median(values: Array, window: int) -> Array:

@@ -59,18 +59,15 @@ class LikelihoodConfig:
     lately: float = 0.3  # share of the looks, the last ones: an edge whose ends were not seen together since is unknown,
     often: float = 0.6  # and so is one that was seen in fewer looks than this share;
     beside: float = 0.4  # share of the looks, whichever, that is enough beside the goal, where a pull cuts nothing
-    gaping: float = 8.0  # [px] of the openings on both sides of an edge, beside which
-    strand: float = 0.25  # one of less than this share of them is held by something that lies along it
     healed: float = 2.0  # [px] of bed, or of an opening wide enough by itself, after which an edge that is hidden stays severed
 
     def __post_init__(self) -> None:
         if not 0 <= self.connected < 0.5 < self.severed <= 1:
             raise ValueError("an edge must be called connected below one half and severed above it")
-        positive = (self.pixel_error, self.even, self.steepness, self.most, self.wide, self.slight, self.gaping, self.healed)
+        positive = (self.pixel_error, self.even, self.steepness, self.most, self.wide, self.slight, self.healed)
         if not (all(value > 0 for value in positive) and self.model_error >= 0):
             raise ValueError("errors, widths and what lengths may say must be positive")
-        shares = (self.min_confidence, self.max_unknown, self.lately, self.often, self.beside, self.strand)
-        if not all(0 <= share <= 1 for share in shares):
+        if not all(0 <= share <= 1 for share in (self.min_confidence, self.max_unknown, self.lately, self.often, self.beside)):
             raise ValueError("confidence and shares must lie between 0 and 1")
         if not (self.weights.parted >= 0 and 0 <= self.weights.excess <= self.weights.bed):
             raise ValueError("an opening may speak no more for connected than none, and none more for severed than the bed")
@@ -149,7 +146,8 @@ def estimate_connectivity(
     found = evidence(grid, reference, looks, forecast, config)
     known = found.seen | (np.nan_to_num(found.bed) >= config.healed)
     odds = np.clip(log_odds(found, grid.crosses_goal, config), -30.0, 30.0)
-    odds = np.where(_along_a_strand(grid, found.parted, config), np.minimum(odds, config.weights.bias), odds)
+    # Beside a strand an opening says nothing: the edge may run in and out of it, and what lies next to it is held by it.
+    odds = np.where(looks[-1].stranded, np.minimum(odds, config.weights.bias), odds)
     # What is hidden now is unknown, and nothing is done on it; what is believed of it is still told by what was seen before.
     probability = 1.0 / (1.0 + np.exp(-odds))
     severed = (probability >= config.severed) & (known | _parted_for_good(found, grid.crosses_goal, config))
@@ -180,33 +178,14 @@ def _parted_for_good(found: Evidence, crosses_goal: NDArray[np.bool_], config: L
     return np.asarray((np.nan_to_num(found.parted) >= config.healed) & enough)
 
 
-def _along_a_strand(grid: Grid, parted: Array, config: LikelihoodConfig) -> NDArray[np.bool_]:
-    """Which edges (E,) opened, `parted` (E,) [px], to a fraction of what gapes on both sides of them.
-
-    Lips are smooth. Where the opening is interrupted a strand is left, thin and lit, and the edge may run in and out of it.
-    """
-    order = _along_the_goal(grid)
-    width = parted[order]
-    beside = np.zeros_like(width)
-    beside[1:-1] = np.nan_to_num(np.minimum(width[:-2], width[2:]))
-    held = np.zeros(len(parted), dtype=bool)
-    held[order] = (beside >= config.gaping) & (width < config.strand * beside)
-    return held
-
-
-def _along_the_goal(grid: Grid) -> NDArray[np.int64]:
-    """The edges (C,) across the goal, by station."""
-    crossing = np.flatnonzero(grid.crosses_goal)
-    return np.asarray(crossing[np.argsort(grid.station[crossing], kind="stable")])
-
-
 def _excess(grid: Grid, parted: Array, expected: Array, config: LikelihoodConfig) -> Array:
     """How much wider (E,) each edge across the goal opened than a severed one would have, as a log ratio between -1 and 1.
 
     The lesser of its own and of all that opened around it, its neighbours along the goal with it: one edge alone is measured badly, and
     a groove may begin beside tissue that gapes. `parted` and `expected` (E,) [px], nan where not known.
     """
-    order = _along_the_goal(grid)
+    crossing = np.flatnonzero(grid.crosses_goal)
+    order = crossing[np.argsort(grid.station[crossing], kind="stable")]
     opened = np.clip(np.nan_to_num(parted[order]) / config.wide, 0.0, 1.0)
     seen, due = (np.maximum(np.nan_to_num(width[order]), config.slight) for width in (parted, expected))
     around = _with_neighbours(opened * seen) / np.maximum(_with_neighbours(opened * due), 1e-9)

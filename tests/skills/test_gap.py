@@ -524,3 +524,63 @@ def test_what_could_not_be_looked_at_decides_nothing():
 
     assert np.isnan(watch.decided()[[0, 2]]).all()
     assert watch.decided()[1:2] == widened(9.0)
+
+
+# ------------------------------------------------------------ strands between the edges
+
+ROW = np.array([edge(30.0, across(0.0), np.array([u, 80.5])) for u in (80.0, 90.0, 100.0, 110.0, 120.0)])
+ROW_EDGES = np.arange(10).reshape(-1, 2)
+
+
+def opening(width: float, strand: float = 0.0, at: float = 105.0, until: float = 1.0, bright: float = 150.0) -> Image:
+    """A slit of `width` [px] with a `strand` [px] at u = `at` that reaches `until` of the way through it."""
+    picture = slit(width)
+    top, far = round(80 - width / 2), round(80 + width / 2)
+    first = round(at - strand / 2)
+    picture[top : round(top + until * (far - top)) + 1, first : first + round(strand)] = bright * np.array([1.0, 0.6, 0.5])
+    return picture
+
+
+def stranded(*pictures: Image) -> list[bool]:
+    """Which of the edges lie beside a strand after these looks."""
+    watch = GapWatch(slit(0.0), ROW.reshape(-1, 2), ROW_EDGES, np.ones(len(ROW_EDGES), dtype=bool))
+    for picture in pictures:
+        watch.look(picture, ROW.reshape(-1, 2), np.ones(2 * len(ROW), dtype=bool))
+    return [bool(value) for value in watch.stranded()]
+
+
+BESIDE = [False, False, True, True, False]
+
+
+@pytest.mark.parametrize("width", [12.0, 30.0])
+@pytest.mark.parametrize("strand", [3.0, 5.0])
+def test_a_strand_between_two_edges_is_seen_by_both(width, strand):
+    assert stranded(*[opening(width, strand)] * 2) == BESIDE
+
+
+def test_a_strand_counts_when_seen_twice_and_no_more_when_missed_twice():
+    there, torn = opening(30.0, 3.0), opening(30.0)
+
+    assert stranded(there) == [False] * 5
+    assert stranded(there, there, torn) == BESIDE
+    assert stranded(there, there, torn, torn) == [False] * 5
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [opening(30.0), opening(30.0, 3.0, until=0.5), opening(30.0, 3.0, bright=75.0), opening(5.0, 3.0)],
+    ids=["nothing", "torn at one end", "a ridge of the bed", "too narrow to look into"],
+)
+def test_what_does_not_hold_the_lips_together_is_no_strand(picture):
+    assert stranded(picture, picture) == [False] * 5
+
+
+def test_under_a_tool_a_strand_stays_where_it_was_seen():
+    watch = GapWatch(slit(0.0), ROW.reshape(-1, 2), ROW_EDGES, np.ones(len(ROW_EDGES), dtype=bool))
+    hidden = np.zeros((160, 200), dtype=bool)
+    hidden[:, 95:115] = True
+    everywhere = np.ones(2 * len(ROW), dtype=bool)
+    for picture, mask in [(opening(30.0, 3.0), None)] * 2 + [(opening(30.0), hidden)] * 3:
+        watch.look(picture, ROW.reshape(-1, 2), everywhere, mask)
+
+    assert list(watch.stranded()) == BESIDE

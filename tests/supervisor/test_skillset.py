@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hardware.codes import Code
 from hardware.interface import GRASPER, Array, MoveReport, MoveStatus
@@ -51,6 +52,9 @@ class Opening:
 
     def __init__(self, looks: int) -> None:
         self._width = 0.1 * looks
+
+    def stranded(self) -> NDArray[np.bool_]:
+        return np.zeros(len(GRID.edges), dtype=bool)
 
     def parted(self) -> Array:
         return np.full(len(GRID.edges), self._width)
