@@ -25,12 +25,9 @@ class GraspConfig:
     shaft_tilt: float = np.deg2rad(30.0)  # of the shaft from the surface normal, away from the goal
     test_pull: float = 2e-3
     test_pulls: int = 3  # one after the other, until the force is felt: soft tissue that lies loose comes along at first
-    test_pause: float = (
-        0.2  # [s] after each, over which the force is averaged: single readings are as noisy as soft tissue is light
-    )
-    least_tension: float = (
-        0.05  # [N] against a test pull of caught tissue: 0.09 and more on the bench, where the mean errs by 0.02
-    )
+    # Single readings of the force are as noisy (0.05 N on the bench) as soft tissue is light (0.09 N): only their mean tells them apart.
+    test_pause: float = 0.2  # [s] after each pull, over which the force is averaged
+    least_tension: float = 0.05  # [N] against a test pull of caught tissue
 
 
 @dataclass(frozen=True)
