@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hardware.interface import Array, Image
 from skills.tracking.flow import FlowDIS, box_around, cut_out, sampled
-from skills.tracking.patches import patches_at
+from skills.tracking.patches import patches_at, same
 from skills.tracking.picture import picture_of
 from skills.tracking.rows import RowConfig, smooth_row
 
@@ -32,7 +32,10 @@ class RelocateConfig:
     shrunk: float = 0.4  # least and
     stretched: float = 2.5  # most that the distance between neighbours may have become, as a share
     surroundings: int = 5  # within which contrast is made even for the flow
-    agreement: float = 2.0  # of the flow's way there and back, for a point to be found
+    agreement: float = 2.0  # of the flow's way there and back, for a point to be found,
+    patch: int = 6  # and radius of the patches that must look the
+    same: float = 0.5  # same (`patches.same`),
+    noise: float = 6.0  # [grey levels] of even pictures left aside, as for an anchor
     patience: int = 3  # updates that a goal is lost before it is searched for
     rows: RowConfig = field(default_factory=RowConfig)
 
@@ -75,8 +78,11 @@ def flowed(
     there = sampled(flow.flow(old, new), points - corner)
     found = points + there
     error = np.linalg.norm(there + sampled(flow.flow(new, old), found - corner), axis=1)
+    # Flow between pictures of different things may agree with its way back; what it leads to does not look alike then.
+    before_there, now_there = (patches_at(even, p - corner, config.patch) for even, p in ((old, points), (new, found)))
+    alike = same(before_there, now_there, config.noise) >= config.same
     u, v = np.clip(np.rint(found).astype(np.int64), 0, [now.shape[1] - 1, now.shape[0] - 1]).T
-    agrees, trust = (error <= config.agreement) & tissue[v, u], 1.0 / (1.0 + error)
+    agrees, trust = (error <= config.agreement) & alike & tissue[v, u], 1.0 / (1.0 + error)
     parts = (slice(0, count), slice(count, None))
     (near, near_good), (far, far_good) = (smooth_row(points[p], found[p], agrees[p], trust[p], config.rows) for p in parts)
     return (near, far) if min(near_good.mean(), far_good.mean()) >= config.least else None
