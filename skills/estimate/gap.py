@@ -234,7 +234,8 @@ def _bed_place(profiles: _Profiles, level: Array, config: GapConfig) -> Array:
     place = np.full((len(inside), 2), np.nan)
     if inside.any():
         dark = rows[inside[profiles.inside]] < config.bed * np.maximum(level[inside, None], 1.0)
-        run, end = _runs(dark).max(axis=1), _runs(dark).argmax(axis=1) + 1
+        runs = _runs(dark)
+        run, end = runs.max(axis=1), runs.argmax(axis=1) + 1
         place[inside] = np.where(run[:, None] > 0, np.column_stack([end - run, end]) / rows.shape[1], np.nan)
     return place
 

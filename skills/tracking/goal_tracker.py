@@ -142,16 +142,16 @@ class GoalTracker:
     def _relocated(self, frame: Frame, hidden: NDArray[np.bool_]) -> TrackedGoal | None:
         """Search for both rows where the tissue may have sprung to, and follow them from there; None if they are not found.
 
-        Tissue that slipped from the jaws looks as it did before it was pulled, so older pictures are asked as well. The keypoints of an
-        older reference are lost by that: all of them stay unseen.
+        Tissue that slipped from the jaws looks as it did before it was pulled, so older pictures are asked as well. Flow is asked last,
+        for what has hardly moved but is creased. The keypoints of an older reference are lost by that: all of them stay unseen.
         """
         config = self.config.relocate
-        tissue = tissue_mask(frame.image, self.config.tissue) & ~hidden
         known = [self._known[name] for name in ("newest", "reference", "drawn") if name in self._known]
         for image, seen in known:
             near, far = (relocate(image, frame.image, row, hidden, config) for row in (seen.near, seen.far))
             if near is not None and far is not None:
                 return self._laid_anew(frame, seen, near, far)
+        tissue = tissue_mask(frame.image, self.config.tissue) & ~hidden
         for image, seen in known:
             rows = flowed(image, frame.image, (seen.near, seen.far), tissue, config)
             if rows is not None:

@@ -33,7 +33,7 @@ grasper; in the phase of the grasp it slips as the test of the grasp begins, whe
 SLIPPED = """\
 Tissue that slips out is no fault of the robot: arm and jaw do as they are told. It shows by the tissue. In a pull the tension falls, and
 the pull ends by `grasp_slipped`; while cutting, the goal springs out of sight, and the session looks again. Lost in the test of the
-grasp it is noticed by the mean force after each test pull (2 % of empty grasps pass), and the tissue is grasped anew. **Lost in the
+grasp it is noticed by the mean force after each test pull (15 of 600 empty grasps pass), and the tissue is grasped anew. **Lost in the
 retraction it is not noticed**: a pull knows of a slip only after 0.5 N.
 Then, and after a slip while cutting, slack tissue is cut and the empty jaws are pulled all the way, in each attempt that is left. What
 does not open is not called severed, so such a session errs to the safe side: it ends `attempts_used`, with one strand left or none."""

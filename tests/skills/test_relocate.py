@@ -83,7 +83,7 @@ ALL_TISSUE = ~NOTHING_HIDDEN
 
 
 def test_rows_are_found_by_flow_where_single_matches_go_astray():
-    """Creased tissue: every few pixels go another way, so that no patch looks as it did, but nothing went far."""
+    """Creased tissue: every few pixels go another way, so that no patch is nearly (0.95) alike as a whole, but nothing went far."""
     texture = speckle(14)
     u, v = np.meshgrid(np.arange(SIZE[0], dtype=np.float32), np.arange(SIZE[1], dtype=np.float32))
     crease = 3.0 * np.sin(u / 6.0).astype(np.float32)
