@@ -552,10 +552,21 @@ def stranded(*pictures: Image) -> list[bool]:
 BESIDE = [False, False, True, True, False]
 
 
-@pytest.mark.parametrize("width", [12.0, 30.0])
+@pytest.mark.parametrize("width", [5.0, 12.0, 30.0])
 @pytest.mark.parametrize("strand", [3.0, 5.0])
 def test_a_strand_between_two_edges_is_seen_by_both(width, strand):
     assert stranded(*[opening(width, strand)] * 2) == BESIDE
+
+
+def test_a_strand_that_is_seen_from_its_dark_cut_side_holds_all_the_same():
+    assert stranded(*[opening(30.0, 3.0, bright=105.0)] * 2) == BESIDE
+
+
+def test_two_strips_that_hang_down_past_each_other_bar_no_way():
+    picture = opening(30.0, 3.0, at=103.0, until=0.7)
+    picture[80:97, 107:110] = (150, 90, 75)  # from the far lip up
+
+    assert stranded(picture, picture) == [False] * 5
 
 
 def test_a_strand_counts_when_seen_twice_and_no_more_when_missed_twice():
@@ -568,8 +579,14 @@ def test_a_strand_counts_when_seen_twice_and_no_more_when_missed_twice():
 
 @pytest.mark.parametrize(
     "picture",
-    [opening(30.0), opening(30.0, 3.0, until=0.5), opening(30.0, 3.0, bright=75.0), opening(5.0, 3.0)],
-    ids=["nothing", "torn at one end", "a ridge of the bed", "too narrow to look into"],
+    [
+        opening(30.0),
+        opening(30.0, 3.0, until=0.5),
+        opening(30.0, 3.0, until=0.85),
+        opening(30.0, 3.0, bright=50.0),
+        opening(2.0, 3.0),
+    ],
+    ids=["nothing", "torn at one end", "torn, and long", "a ridge of the bed", "too narrow to look into"],
 )
 def test_what_does_not_hold_the_lips_together_is_no_strand(picture):
     assert stranded(picture, picture) == [False] * 5
