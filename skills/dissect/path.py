@@ -17,6 +17,7 @@ LEAST_KNOWN = 4  # of these,
 LEAST_SHARE = 0.3  # and the share of them, that must have a depth
 BESIDE = 8.0  # [px] from a corrective segment to where the tissue that still holds is looked for, on either side of it
 REACH = 10.0  # [px] by which a cut of what holds runs into what is open
+SUPPORT = 50.0  # [px] along a corrective segment, at least, that tell how the surface lies: over a few, noise in depth tilts it
 DEPTH_RADIUS = 5  # [px] of the neighbourhood that a depth is read from
 
 
@@ -51,6 +52,16 @@ class Path:
         points, across = smooth(points), smooth(across)
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return Path(points, across, pixels, arc)
+
+    def part(self, less: float) -> Path:
+        """The path without the share `less` of its samples at either end; as many samples."""
+        index = np.linspace(less, 1.0 - less, len(self.points)) * (len(self.points) - 1)
+
+        def read(values: Array) -> Array:
+            return np.column_stack([np.interp(index, np.arange(len(values)), values[:, i]) for i in range(values.shape[1])])
+
+        arc = np.interp(index, np.arange(len(self.arc)), self.arc)
+        return Path(read(self.points), read(self.across), read(self.pixels), arc - arc[0])
 
     @property
     def length(self) -> float:
@@ -98,8 +109,12 @@ def on_tissue(goal: TrackedGoal, depth: DepthMap, camera: CameraModel, segment: 
     Where a cut has opened, the rows are the rims of a hole and one of them may be lifted high: the middle between them is thin air, and
     the plane through them no surface. What still holds the two together is right beside the segment. None where too little of it is seen.
     """
-    pixels, near, far = _beside(goal, depth, camera, segment, tissue)
-    return _path((near + far) / 2.0, near - far, pixels, 1)
+    length = _length(from_goal_coordinates(goal, np.linspace(segment[0], segment[1], PLACES)))
+    beyond = max(0.0, SUPPORT / max(length, 1.0) - 1.0) / 2.0  # of the segment, at either end
+    step = beyond * (segment[1] - segment[0])
+    pixels, near, far = _beside(goal, depth, camera, segment + np.array([-step, step]), tissue)
+    path = _path((near + far) / 2.0, near - far, pixels, 1)
+    return None if path is None else path.part(beyond / (1.0 + 2.0 * beyond))
 
 
 def held_part(goal: TrackedGoal, depth: DepthMap, camera: CameraModel, segment: Array, tissue: NDArray[np.bool_]) -> Array:
@@ -110,7 +125,7 @@ def held_part(goal: TrackedGoal, depth: DepthMap, camera: CameraModel, segment: 
     """
     pixels, near, far = _beside(goal, depth, camera, segment, tissue)
     held = np.flatnonzero(np.isfinite(near + far).all(axis=1))
-    length = float(np.linalg.norm(np.diff(pixels, axis=0), axis=1).sum())
+    length = _length(pixels)
     if not len(held) or not length > 0.0:
         return segment
     ends = np.clip(held[[0, -1]] / (PLACES - 1) + np.array([-1.0, 1.0]) * REACH / length, 0.0, 1.0)
@@ -130,6 +145,10 @@ def _beside(
     seen = (np.where(_at(tissue, side)[:, None], side, np.nan) for side in sides)
     near, far = (_lifted(side, depth, camera) for side in seen)
     return pixels, near, far
+
+
+def _length(pixels: Array) -> float:
+    return float(np.linalg.norm(np.diff(pixels, axis=0), axis=1).sum())
 
 
 def _path(points: Array, across: Array, pixels: Array, degree: int) -> Path | None:

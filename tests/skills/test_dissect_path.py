@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hardware.interface import CameraModel
-from skills.dissect.path import held_part, on_tissue
+from skills.dissect.path import Path, held_part, on_tissue
 from skills.scene.stereo import DepthMap
 from skills.tracking.tracks import TrackedGoal
 
@@ -40,6 +40,39 @@ def test_a_corrective_segment_lies_on_the_tissue_that_holds():
     _, tangent, normal = path.frame_at(0.7 * path.length, 4e-3)
     assert tangent == pytest.approx([1.0, 0.0, 0.0], abs=0.02)
     assert normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-3)
+
+
+def tilted_towards_one_end(step: float) -> DepthMap:
+    """A flat surface, and a `step` [m] in its depth in the middle of a short segment from 350 px to 362 px."""
+    depth = np.full((480, 640), SURFACE)
+    depth[:, 357:] -= step
+    depth[:, 369:] += step
+    return DepthMap(0.0, depth, 1.0)
+
+
+def test_a_few_wrong_depths_hardly_tilt_the_normal_of_a_short_segment():
+    short = (np.array([[350.0], [362.0]]) - 200.0) / 240.0 * np.array([1.0, 0.0])
+
+    path = on_tissue(goal(), tilted_towards_one_end(0.6e-3), CAMERA, short, scene()[1])
+
+    assert path is not None
+    _, _, normal = path.frame_at(path.length / 2, 2e-3)
+    assert np.degrees(np.arccos(-normal[2])) < 10.0
+    assert path.pixels[[0, -1], 0] == pytest.approx([350.0, 362.0])
+    assert path.length == pytest.approx(12.0 * SURFACE / CAMERA.focal, rel=0.1)
+
+
+def test_a_part_of_a_path_keeps_its_course():
+    x = np.linspace(0.0, 0.04, 25)
+    points = np.column_stack([x, np.zeros(25), np.full(25, SURFACE)])
+    whole = Path(points, np.tile([0.0, -1.0, 0.0], (25, 1)), np.column_stack([x * 1e4, x]), x)
+
+    part = whole.part(0.25)
+
+    assert len(part.points) == 25
+    assert part.points[[0, -1], 0] == pytest.approx([0.01, 0.03])
+    assert part.pixels[[0, -1], 0] == pytest.approx([100.0, 300.0])
+    assert part.arc[[0, -1]] == pytest.approx([0.0, 0.02])
 
 
 def test_where_no_tissue_is_seen_there_is_no_such_path():
