@@ -33,6 +33,10 @@ class PlanningConfig:
 
     snip: float = 5.0e-3  # advance along the goal from snip to snip
     overlap: float = 1.6e-3  # by which neighbouring snips are meant to overlap
+    # Tissue that is slack, as it is far from the grasp, escapes at both ends of a closing jaw: strands were left between snips, pass after
+    # pass. Corrective snips are denser and reach farther over each other.
+    corrective_snip: float = 3.6e-3
+    corrective_overlap: float = 3.0e-3
     depth: float = 3.0e-3  # of the closed tip below the surface: the fixed insertion depth
     deeper: float = 0.6e-3  # at each corrective pass: what was cut there and still holds was cut too shallow
     deepest: float = 4.5e-3
@@ -77,8 +81,12 @@ class PlanningAgent:
         self.clear_view = True
 
     def run(self, lease: Lease, tracked: Callable[[], TrackedGoal | None], segments: Array | None) -> Steps[DissectOutcome]:
-        """Cut the whole goal, or the corrective `segments` (S, 2, 2) pixels, which then follow the goal as it moves."""
+        """Cut the whole goal, or the corrective `segments` (S, 2, 2) pixels, which then follow the goal as it moves.
+
+        A corrective segment that cannot be seen is left out, or what is left of it; the others are cut all the same.
+        """
         snips: list[Snip] = []
+        unseen: list[MoveReport] = []
         self._waiting = lease.measured_cp(CUTTER).value
         try:
             goal = tracked()
@@ -95,14 +103,18 @@ class PlanningAgent:
                 name = f"segment {number + 1} of {len(plan)}"
                 report = yield from self._cut_segment(lease, tracked, segment, segments is not None, name, snips)
                 if report.status is MoveStatus.FAILED:
-                    return DissectOutcome(report.code, report.message, tuple(snips))
+                    goal = tracked()
+                    if segments is None or report.code not in UNSEEN or goal is None or goal.lost:
+                        return DissectOutcome(report.code, report.message, tuple(snips))
+                    unseen.append(report)
             missed = [snip for snip in snips if snip.code is not Code.OK]
-            if missed and len(missed) == len(snips):
-                return DissectOutcome(missed[-1].code, missed[-1].message, tuple(snips))
-            made = f"{len(snips) - len(missed)} snips made" + (
-                f", {len(missed)} left out: {missed[-1].message}" if missed else ""
-            )
-            return DissectOutcome(Code.OK, made, tuple(snips))
+            failures: list[Snip | MoveReport] = [*missed, *unseen]
+            if failures and len(missed) == len(snips):
+                return DissectOutcome(failures[-1].code, failures[-1].message, tuple(snips))
+            made = [f"{len(snips) - len(missed)} snips made"]
+            made += [f"{len(missed)} left out: {missed[-1].message}"] if missed else []
+            made += [f"{len(unseen)} of {len(plan)} segments not finished: {unseen[-1].message}"] if unseen else []
+            return DissectOutcome(Code.OK, ", ".join(made), tuple(snips))
         finally:
             self.clear_view = True
             lease.hold()
@@ -159,6 +171,11 @@ class PlanningAgent:
         snips: list[Snip],
     ) -> Steps[MoveReport]:
         """Cut one segment, given in goal coordinates (2, 2), as a row of snips planned on the goal as it lies now."""
+        advance, overlap = (
+            (self._config.corrective_snip, self._config.corrective_overlap)
+            if corrective
+            else (self._config.snip, self._config.overlap)
+        )
         count = None
         done = 0
         while count is None or done < count:
@@ -178,8 +195,8 @@ class PlanningAgent:
             if path is None:
                 return MoveReport(MoveStatus.FAILED, Code.DEPTH_INVALID, f"the depth along {name} cannot be seen")
             if count is None:
-                before, after = _insets(segment, path.length, self._config.overlap / 2) if corrective else (0.0, 0.0)
-                count = max(1, int(np.ceil((path.length - before - after) / self._config.snip - 0.05)))
+                before, after = _insets(segment, path.length, overlap / 2) if corrective else (0.0, 0.0)
+                count = max(1, int(np.ceil((path.length - before - after) / advance - 0.05)))
                 inside = np.array([before, path.length - after])[:, None] / path.length
                 segment = segment[0] + inside * (segment[1] - segment[0])
             else:
@@ -187,7 +204,8 @@ class PlanningAgent:
             stretch = (path.length - before - after) / (count - first)
             begin = before + (done - first) * stretch
             doing = f"{name}: snip {done + 1} of {count}"
-            report, pose = yield from self._snip(lease, path, begin + 0.5 * stretch, stretch, doing)
+            frame = path.frame_at(begin + 0.5 * stretch, stretch)
+            report, pose = yield from self._snip(lease, frame, stretch + overlap, doing)
             start, end = path.pixels_at((begin, begin + stretch))
             if report.status is MoveStatus.FAILED and report.code in FATAL:
                 return report
@@ -195,14 +213,16 @@ class PlanningAgent:
             done += 1
         return MoveReport(MoveStatus.DONE)
 
-    def _snip(self, lease: Lease, path: Path, at: float, stretch: float, doing: str) -> Steps[tuple[MoveReport, Pose]]:
-        """One snip centred at arc length `at` [m]: go above, open, insert to the depth of this pass, close, come back."""
+    def _snip(self, lease: Lease, frame: tuple[Array, Array, Array], mouth: float, doing: str) -> Steps[tuple[MoveReport, Pose]]:
+        """One snip with a `mouth` [m] at the surface: go above, open, insert to the depth of this pass, close, come back.
+
+        `frame` is its centre on the surface, the direction of the cut, and the surface's normal, (3,) each.
+        """
         config, depth = self._config, self._depth
-        point, tangent, normal = path.frame_at(at, stretch)
+        point, tangent, normal = frame
         pose = Pose.looking(point - depth * normal, -normal, tangent)
         above = pose.moved((depth + config.clearance) * normal)
-        reach = BLADE - depth
-        jaw = float(np.clip(2 * np.arctan((stretch + config.overlap) / 2 / reach), config.least_jaw, config.most_jaw))
+        jaw = float(np.clip(2 * np.arctan(mouth / 2 / (BLADE - depth)), config.least_jaw, config.most_jaw))
         self.clear_view = False
         try:
             report = yield from self._close_at(lease, pose, above, jaw, doing)
@@ -302,6 +322,8 @@ def retraction_direction(away: Array, normal: Array, lift: float) -> Array:
     flat = flat / np.linalg.norm(flat)
     return np.asarray(np.cos(lift) * flat + np.sin(lift) * normal)
 
+
+UNSEEN = frozenset({Code.GOAL_LOST, Code.DEPTH_INVALID})
 
 FATAL = frozenset(
     {

@@ -96,7 +96,7 @@ def test_after_a_refused_snip_the_goal_is_watched_again():
     outside = straight_path()
     far = Path(outside.points + np.array([0.5, 0.0, 0.0]), outside.across, outside.pixels, outside.arc)
 
-    report, _ = table.finish(cutting._snip(table.lease, far, 0.02, 0.005, "snip"))
+    report, _ = table.finish(cutting._snip(table.lease, far.frame_at(0.02, 0.005), 0.0066, "snip"))
 
     assert report.code is Code.WORKSPACE
     assert cutting.clear_view
@@ -112,7 +112,7 @@ def depth_of_the_next_snip(cutting: PlanningAgent, table: Table, monkeypatch: py
         return MoveReport(MoveStatus.DONE)
 
     monkeypatch.setattr(cutting, "_close_at", note)
-    table.finish(cutting._snip(table.lease, straight_path(), 0.02, 0.005, "snip"))
+    table.finish(cutting._snip(table.lease, straight_path().frame_at(0.02, 0.005), 0.0066, "snip"))
     return float(poses[0].position[2] - 0.08)
 
 
@@ -229,6 +229,44 @@ def test_a_corrective_segment_that_stays_hidden_is_not_cut():
     assert outcome.code is Code.GOAL_LOST
     assert "hidden" in outcome.message
     assert outcome.snips == ()
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_hidden_segment_is_left_out_and_the_other_one_cut(order, monkeypatch):
+    table, cutting = Table(), agent()
+    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+    whole = goal()
+    segments = np.array([[[200.0, 240.0], [270.0, 240.0]], [[370.0, 240.0], [440.0, 240.0]]])
+
+    def snip(*_):
+        yield from ()
+        return MoveReport(MoveStatus.DONE), table.bench.cutter.pose
+
+    monkeypatch.setattr(cutting, "_snip", snip)
+    monkeypatch.setattr(cutting, "_lift", lambda *_: straight_path())
+    outcome = table.finish(
+        cutting.run(
+            table.lease, lambda: replace(whole, stamp=table.bench.now(), visible=np.arange(12) >= 6), segments[list(order)]
+        )
+    )
+
+    assert outcome.code is Code.OK
+    assert "1 of 2 segments not finished: the goal along segment" in outcome.message
+    assert len(outcome.snips) > 0
+    assert {snip.message for snip in outcome.snips} == {""}
+
+
+def test_a_goal_that_is_lost_ends_the_cut_of_all_segments():
+    table, cutting = Table(), agent()
+    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+    whole = goal()
+    answers = iter([whole])
+    segments = np.array([[[200.0, 240.0], [270.0, 240.0]], [[370.0, 240.0], [440.0, 240.0]]])
+
+    outcome = table.finish(cutting.run(table.lease, lambda: next(answers, None), segments))
+
+    assert outcome.code is Code.GOAL_LOST
+    assert outcome.message == "the goal was lost from sight while cutting"
 
 
 def test_the_scissors_make_way_for_a_look_at_a_hidden_segment():
