@@ -278,7 +278,7 @@ class SessionSkills:
         gaps = tracker.gaps()
         assert gaps is not None, "there is a look at the grid only after the reference"
         steps, tracks = self._exposure.steps_done, tracker.grid_tracks()[1]
-        return Look(steps, tracks, tracker.placed(), gaps.parted(), gaps.bed(), gaps.stranded())
+        return Look(steps, tracks, tracker.placed(), gaps.parted(), gaps.bed(), gaps.slit(), gaps.stranded())
 
     def _leave_at(self, steps: int) -> int:
         """Where the tissue is left after a pull: where enough is in sight; straight pulls, and those of all steps, end as in the paper."""

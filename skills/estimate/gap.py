@@ -74,10 +74,12 @@ class GapWatch:
         edges: NDArray[np.int64],
         crosses_goal: NDArray[np.bool_],
         between: tuple[float, ...] = (),
+        darkest_before: Array | None = None,
     ) -> None:
         """`between` are places beside each edge across the goal, in spacings towards the next one, that must be open too.
 
-        Strands are thinner than the grid. The edges across the goal come in order along it.
+        Strands are thinner than the grid. The edges across the goal come in order along it. `darkest_before` (E,) is what `darkest_along`
+        gave around each edge when the goal was drawn, nan where not known: what has become darker by t_d is no vessel but a slit.
         """
         self._edges = edges
         self._config = GapConfig()
@@ -88,9 +90,14 @@ class GapWatch:
         brightness = _brightness(image)
         profiles = [_profiles(brightness, *self._lines(points, *where), self._config) for where in self._places]
         self._darkest = [_darkest(profile) for profile in profiles]
+        before = np.full(len(edges), np.nan) if darkest_before is None else darkest_before
+        self._darkest_drawn: list[Array | None] = []
+        for (_, which), darkest in zip(self._places, self._darkest, strict=True):
+            known = bool(np.isfinite(before[which]).any())
+            self._darkest_drawn.append(np.fmax(darkest, before[which]) if known else None)
         # A highlight on one end is not how bright the tissue is there: its neighbours have a say.
         self._levels = [_running_median(profile.level, LEVEL_WINDOW) for profile in profiles]
-        self._last = np.full((2, len(edges)), np.nan)
+        self._last = np.full((3, len(edges)), np.nan)
         self._widest = self._last.copy()
         self._crossing = crossing
         self._strands_last = np.full(max(len(crossing) - 1, 0), np.nan)
@@ -103,10 +110,13 @@ class GapWatch:
         free: NDArray[np.bool_] = np.asarray(seen[self._edges].all(axis=1))
         if hidden is not None:
             free &= ~_pass_under(hidden, points[self._edges])
-        for (place, which), darkest, level in zip(self._places, self._darkest, self._levels, strict=True):
+        kept = zip(self._places, self._darkest, self._darkest_drawn, self._levels, strict=True)
+        for (place, which), darkest, drawn, level in kept:
             profiles = _profiles(brightness, *self._lines(points, place, which), self._config)
             least = STILL_AS_BRIGHT * level * _typical(profiles.level / np.maximum(level, 1.0))
-            now[:, which] = np.minimum(now[:, which], _openings(profiles, self._config, darkest, least))
+            parted, bed = _openings(profiles, self._config, darkest, least)
+            slit = parted if drawn is None else _openings(profiles, self._config, drawn, least)[0]
+            now[:, which] = np.minimum(now[:, which], (parted, bed, slit))
             if place == 0.0 and which is self._crossing:
                 self._look_between(brightness, points, profiles, least, free[which])
         now = np.where(free, now, np.nan)
@@ -139,6 +149,10 @@ class GapWatch:
         """Width (E,) [px] of the bed seen through the widest opening so far; nan as in `parted`."""
         return self._widest[1].copy()
 
+    def slit(self) -> Array:
+        """Width (E,) [px] of the widest opening since the goal was drawn: what was dark at t_d already counts too. nan as in `parted`."""
+        return self._widest[2].copy()
+
     def stranded(self) -> NDArray[np.bool_]:
         """Which edges (E,) have a strand between them and the next edge across the goal, to either side."""
         beside = np.zeros(len(self._crossing), dtype=bool)
@@ -153,7 +167,7 @@ class GapWatch:
 
         nan in between, as where nobody could look: an opening that does not show the bed may be a groove.
         """
-        parted, bed = self._widest
+        parted, bed, _ = self._widest
         return np.where(bed > 0.0, bed, np.where(parted > 0.0, np.nan, parted))
 
 

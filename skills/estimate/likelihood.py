@@ -31,7 +31,8 @@ class Weights:
     """Of the evidence, in nats; what is not known adds nothing."""
 
     bias: float = 0.6
-    parted: float = 1.3  # of an opening of `wide` pixels or more, in proportion below; less where a cut would have opened more
+    parted: float = 1.3  # of an opening of `wide` pixels or more, in proportion below; less where a cut would have opened more.
+    # What was open at t_d already counts as much, but neither as wider than expected nor for good: it may be an old groove
     excess: float = 2.4  # of an opening that is wider than a cut's, where no bed is seen: what holds together opens less
     bed: float = 3.2  # of the bed seen through it, `wide` pixels or more, in proportion below
     shorter: float = 0.75  # per nat of the lengths' log-likelihood ratio where it speaks for connected, and no bed is seen
@@ -77,8 +78,9 @@ class LikelihoodConfig:
 class Evidence:
     """What was seen and expected of each edge, (E,) each; nan where it is not known.
 
-    `parted` and `bed` [px] are the widest opening seen along it and the bed seen through it, `excess` how much wider it opened there than
-    a severed edge would have by now, as a log ratio between -1 and 1 (0 where nothing opened or was expected), `length` the mean over the
+    `parted` and `bed` [px] are the widest opening seen along it since t_d and the bed seen through it, `excess` how much wider it opened
+    there than a severed edge would have by now, as a log ratio between -1 and 1 (0 where nothing opened or was expected); `slit` and
+    `slit_excess` are the same of the widest opening since the goal was drawn; `length` the mean over the
     looks of the log-likelihood ratio of its length (above 0: severed), each weighing as many as its step, `ratio` the elongation when
     both ends were last seen, `seen` whether that was lately (across the goal), and often enough.
     """
@@ -86,6 +88,8 @@ class Evidence:
     parted: Array
     bed: Array
     excess: Array
+    slit: Array
+    slit_excess: Array
     length: Array
     ratio: Array
     seen: NDArray[np.bool_]
@@ -110,20 +114,26 @@ def evidence(
                 row = min(look.step - 1, last)
                 terms.append(_log_ratio(rho[e], before, forecast.severed[row], forecast.connected[row], config))
         length[e] = _mean(np.array(terms).reshape(-1, len(e)), np.array(steps, dtype=float))
-    return Evidence(looks[-1].parted, looks[-1].bed, _excess(grid, looks[-1].parted, expected, config), length, ratio, seen)
+    now = looks[-1]
+    excess, slit_excess = (_excess(grid, opened, expected, config) for opened in (now.parted, now.slit))
+    return Evidence(now.parted, now.bed, excess, now.slit, slit_excess, length, ratio, seen)
 
 
 def log_odds(found: Evidence, crosses_goal: NDArray[np.bool_], config: LikelihoodConfig | None = None) -> Array:
     """Of each edge (E,) being severed."""
     config = config or LikelihoodConfig()
     w = config.weights
-    parted, bed = (np.clip(np.nan_to_num(width) / config.wide, 0.0, 1.0) for width in (found.parted, found.bed))
+    parted, bed, slit = (np.clip(np.nan_to_num(width) / config.wide, 0.0, 1.0) for width in (found.parted, found.bed, found.slit))
     unexpected = config.steepness * np.log(np.maximum(np.nan_to_num(found.ratio, nan=config.even), 1e-3) / config.even)
     length = np.clip(np.where(np.isfinite(found.length), found.length, unexpected), -config.most, config.most)
-    longer = np.where(2.0 * parted >= 1.0, w.longer, w.longer_whole)
+    longer = np.where(2.0 * np.maximum(parted, slit) >= 1.0, w.longer, w.longer_whole)
     # Through what shows the bed it was cut, however wide; an opening far narrower than a cut's speaks as little as none.
-    wider, narrower = (side * (1.0 - bed) for side in (np.maximum(found.excess, 0.0), np.minimum(found.excess, 0.0)))
-    opened = parted * (w.parted * (1.0 + narrower) + w.excess * wider) + w.bed * bed
+    wider = np.maximum(found.excess, 0.0) * (1.0 - bed)
+    since_t_d, since_drawn = (
+        share * (1.0 + np.minimum(excess, 0.0) * (1.0 - bed))
+        for share, excess in ((parted, found.excess), (slit, found.slit_excess))
+    )
+    opened = w.parted * np.maximum(since_t_d, since_drawn) + w.excess * parted * wider + w.bed * bed
     # A keypoint beside a wide opening may be mistracked; what shows the bed was severed, whatever its length seems to be.
     shorter = w.shorter * (1.0 - bed)
     odds = w.bias + opened + np.where(length < 0, shorter, longer) * length
@@ -173,7 +183,8 @@ def _parted_for_good(found: Evidence, crosses_goal: NDArray[np.bool_], config: L
 
     A length seen before they were hidden, or a sliver of the bed, adds nothing.
     """
-    opening = replace(found, bed=np.zeros_like(found.bed), length=np.minimum(found.length, 0.0))
+    nothing = np.zeros_like(found.bed)
+    opening = replace(found, bed=nothing, slit=nothing, length=np.minimum(found.length, 0.0))
     enough = log_odds(opening, crosses_goal, config) >= np.log(config.severed / (1.0 - config.severed))
     return np.asarray((np.nan_to_num(found.parted) >= config.healed) & enough)
 

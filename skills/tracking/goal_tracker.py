@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.interface import Array, Frame, Image
-from skills.estimate.gap import GapWatch
+from skills.estimate.gap import GapWatch, darkest_along
 from skills.estimate.grid import Grid, GridConfig, grid_around
 from skills.scene.goal import Goal
 from skills.scene.polyline import arc_lengths, left_normals, resample, side_of
@@ -20,6 +20,9 @@ from skills.tracking.rows import RowConfig, smooth_row
 from skills.tracking.stepwise import TrackerConfig
 from skills.tracking.tracker import PointTracker
 from skills.tracking.tracks import TrackedGoal, Tracks
+
+ASTRAY = 2.0  # stations by which tissue may come to lie along the goal from where it was when the goal was drawn
+FINER = 4  # lines across the goal for each station, on the picture that it was drawn on
 
 NEAR, FAR = 0, 1  # groups of points that move together: the grasp's side of the goal and the other
 
@@ -59,6 +62,7 @@ class GoalTracker:
         towards_grasp = side_of(goal.polyline, goal.grasp) * left_normals(line)
         near, far = line + c.row_offset * towards_grasp, line - c.row_offset * towards_grasp
         self._grid, self._gaps = None, None
+        self._drawn_on = _darkest_across(frame.image, near, far)
         self._begin(frame, near, far, goal.grasp, np.zeros((0, 2)), np.zeros(0, dtype=bool))
         tracked = self._read()
         self._lost_for, self._known = 0, {} if tracked.lost else {"drawn": (frame.image, tracked)}
@@ -102,7 +106,8 @@ class GoalTracker:
         self._grid_valid = not tracked.lost
         if not tracked.lost:
             self._known["reference"] = frame.image, tracked
-        self._gaps = GapWatch(frame.image, self._grid.points, self._grid.edges, self._grid.crosses_goal, self.config.between)
+        grid, between = self._grid, self.config.between
+        self._gaps = GapWatch(frame.image, grid.points, grid.edges, grid.crosses_goal, between, self._drawn_dark(grid))
         self._neighbours = neighbours(self._grid.points, self._grid.near_side)
         self._placed = self._grid_part().visible
         self._read()
@@ -212,7 +217,23 @@ class GoalTracker:
             )
         return points
 
+    def _drawn_dark(self, grid: Grid) -> Array:
+        """How bright (E,) the darkest place around each edge across the goal was when that was drawn (`darkest_along`); nan elsewhere."""
+        stations = np.linspace(0.0, 1.0, len(self._drawn_on))
+        reach = ASTRAY / (len(self._laid[0]) - 1)
+        near = np.abs(grid.station[:, None] - stations) <= reach
+        # Where a vessel may have come from is not known to have been free of one.
+        return np.where(grid.crosses_goal, np.where(near, self._drawn_on, np.inf).min(axis=1), np.nan)
+
     def _require_started(self) -> TrackedGoal:
         if self._tracked is None:
             raise RuntimeError("the goal tracker must be started with a frame and a goal first")
         return self._tracked
+
+
+def _darkest_across(image: Image, near: Array, far: Array) -> Array:
+    """Brightness (L,) of the darkest place on each line from the near row to the far one (M, 2), as a share of that at its ends."""
+    fine = np.linspace(0, len(near) - 1, FINER * (len(near) - 1) + 1)
+    rows = [np.column_stack([np.interp(fine, np.arange(len(row)), row[:, k]) for k in (0, 1)]) for row in (near, far)]
+    lines = np.arange(2 * len(fine)).reshape(2, -1).T
+    return darkest_along(image, np.vstack(rows), lines)

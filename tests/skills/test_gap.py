@@ -379,6 +379,16 @@ def test_a_vessel_that_was_there_at_first_is_no_opening():
     assert (watch.parted()[:2] == 0.0).all()
 
 
+def test_what_is_dark_at_first_is_a_slit_if_the_tissue_was_even_before_it_was_cut():
+    slit_at_first = slit(6.0, bed=0.75 * 150.0, noise=2.0)
+    watch = GapWatch(slit_at_first, ENDS, TWO, CROSSES, (), np.array([0.99, 0.75, np.nan]))
+    for _ in range(2):
+        watch.look(slit_at_first, ENDS, ALL)
+
+    assert watch.slit() == pytest.approx([6.0, 0.0, 0.0], abs=1.0)  # a vessel lay where the second edge is now
+    assert (watch.parted() == 0.0).all()
+
+
 def test_a_strand_thinner_than_the_grid_keeps_the_edge_beside_it_from_counting_as_parted():
     image = np.full((120, 160, 3), 200, np.uint8)
     image[52:68, 20:140] = 40

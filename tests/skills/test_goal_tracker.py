@@ -74,6 +74,26 @@ def test_the_keypoints_go_with_tissue_that_stretches() -> None:
     assert np.percentile(error[tracks.visible], 90) < 1.0
 
 
+@pytest.mark.parametrize("cut", ["before the goal was drawn", "after it"])
+def test_a_faint_slit_at_the_reference_is_one_if_the_goal_was_drawn_on_even_tissue(cut: str) -> None:
+    even = speckle(4, contrast=0.1)
+    slit = even.copy()
+    slit[118:122, 100:220] *= 0.75
+    tracker = GoalTracker()
+    tracker.start(frame(coloured(even if cut == "after it" else slit), 0), GOAL)
+    tracker.mark_reference(frame(coloured(slit), 1))
+    tracker.update(frame(coloured(slit), 2))
+    grid, gaps = tracker.grid(), tracker.gaps()
+    assert grid is not None and gaps is not None
+    u = 70.0 + 180.0 * grid.station[grid.crosses_goal]
+    slits = gaps.slit()[grid.crosses_goal]
+    inside, outside = (u > 106.0) & (u < 214.0), (u < 94.0) | (u > 226.0)
+    assert (slits[inside] > 2.0).all() == (cut == "after it")
+    assert (slits[inside] == 0.0).all() == (cut != "after it")
+    assert (slits[outside] == 0.0).all()
+    assert (gaps.parted() == 0.0).all()
+
+
 def test_a_grid_marked_while_the_goal_is_lost_is_never_seen() -> None:
     texture = speckle(5)
     tracker = GoalTracker()

@@ -20,7 +20,9 @@ def look(step: int, hidden: list[int], opened: list[int] | None = None, doubted:
     confidence[GRID.edges[CROSSING[doubted or []], 0]] = 0.1
     bed = np.zeros(len(GRID.edges))
     bed[CROSSING[opened or []]] = 4.0
-    return Look(step, Tracks(float(step), GRID.points, visible, confidence), visible, bed, bed, np.zeros(len(bed), dtype=bool))
+    return Look(
+        step, Tracks(float(step), GRID.points, visible, confidence), visible, bed, bed, bed, np.zeros(len(bed), dtype=bool)
+    )
 
 
 def test_the_last_step_is_kept_while_everything_is_in_sight():

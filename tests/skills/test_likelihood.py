@@ -70,7 +70,7 @@ def openings(across: Numbers) -> Array:
 
 def seen_at(step: int, found: Tracks, parted: Array, bed: Array) -> Look:
     """A look at which what is not seen has no place either."""
-    return Look(step, found, found.visible, parted, bed, np.zeros(len(parted), dtype=bool))
+    return Look(step, found, found.visible, parted, bed, parted, np.zeros(len(parted), dtype=bool))
 
 
 def unopened(step: int, rho: Numbers) -> Look:
@@ -633,9 +633,10 @@ def test_an_edge_away_from_the_goal_that_gapes_to_the_bed_and_became_very_long_i
 # ------------------------------------------------------------ as a function
 
 
-def one(parted: float, bed: float, length: float, excess: float = 0.0) -> float:
+def one(parted: float, bed: float, length: float, excess: float = 0.0, slit: float = 0.0, slit_excess: float = 0.0) -> float:
     """Log odds of one edge across the goal."""
-    values = {"parted": parted, "bed": bed, "excess": excess, "length": length, "ratio": 1.5}
+    openings = {"parted": parted, "bed": bed, "excess": excess, "slit": slit, "slit_excess": slit_excess}
+    values = {**openings, "length": length, "ratio": 1.5}
     found = Evidence(**{name: np.array([value]) for name, value in values.items()}, seen=np.array([True]))
     return float(log_odds(found, np.array([True]))[0])
 
@@ -655,6 +656,26 @@ def test_a_wider_opening_is_never_less_likely_a_cut(a, b, excess, length, bed):
     low, high = sorted((a, b))
 
     assert one(low, bed, length, excess) <= one(high, bed, length, excess) + 1e-9
+
+
+@given(WIDTH, WIDTH, WIDTH, EXCESS, EXCESS, NATS, st.sampled_from([0.0, 30.0]))
+def test_a_wider_slit_that_was_there_at_first_is_never_less_likely_a_cut(a, b, parted, excess, slit_excess, length, bed):
+    low, high = (one(parted, bed, length, excess, slit, slit_excess) for slit in sorted((a, b)))
+
+    assert low <= high + 1e-9
+
+
+@given(WIDTH, EXCESS, NATS)
+def test_a_slit_that_was_there_at_first_says_no_more_than_one_that_opened_as_expected(slit, slit_excess, length):
+    assert one(0.0, 0.0, length, 0.0, slit, slit_excess) <= one(slit, 0.0, length) + 1e-9
+
+
+def test_a_slit_that_was_there_at_first_is_severed_only_if_its_length_says_so_too():
+    severed = np.log(LikelihoodConfig().severed / (1.0 - LikelihoodConfig().severed))
+
+    assert one(0.0, 0.0, 0.0, slit=30.0, slit_excess=1.0) < severed
+    assert one(0.0, 0.0, 2.0, slit=30.0) > severed
+    assert one(0.0, 0.0, 2.0, slit=30.0, slit_excess=-1.0) < severed  # a cut would have opened more
 
 
 @given(EXCESS, EXCESS, WIDTH, WIDTH, NATS)
@@ -700,7 +721,7 @@ def test_the_order_of_edges_does_not_matter(seed):
     order = rng.permutation(len(GRID.edges))
     shuffled = replace(GRID, edges=GRID.edges[order], crosses_goal=GRID.crosses_goal[order], station=GRID.station[order])
     looks = pulled(np.linspace(1.0, 4.0, COUNT), *np.linspace(6.0, 0.0, 2 * COUNT).reshape(2, COUNT))
-    moved = [replace(look, parted=look.parted[order], bed=look.bed[order]) for look in looks]
+    moved = [replace(look, parted=look.parted[order], bed=look.bed[order], slit=look.slit[order]) for look in looks]
     # The forecast names the same edges by their new places, in an order of its own.
     where, own = np.argsort(order)[CROSSING], rng.permutation(COUNT)
     told = forecast(np.linspace(2.0, 5.0, COUNT), 1.3)
@@ -805,7 +826,7 @@ def unrecognised(which: Array, placed: bool) -> list[Look]:
     found = tracks(keypoints(1.2), which)
     place = np.ones(len(GRID.points), dtype=bool) if placed else found.visible
     return [
-        Look(step, found, place, openings(0.0), openings(0.0), np.zeros(len(GRID.edges), dtype=bool))
+        Look(step, found, place, openings(0.0), openings(0.0), openings(0.0), np.zeros(len(GRID.edges), dtype=bool))
         for step in range(1, STEPS + 1)
     ]
 
