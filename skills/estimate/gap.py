@@ -53,7 +53,8 @@ def gap_along(
     [grey levels] is how bright tissue is there at least: where an end itself has come to lie in the opening, it does not tell.
     """
     config = config or GapConfig()
-    return _openings(_profiles(_brightness(image), points, edges, config), config, darkest_before, least_level)[0]
+    dark = config.dark if darkest_before is None else _dark(darkest_before, config)
+    return _width_below(dark, _profiles(_brightness(image), points, edges, config), least_level)
 
 
 def darkest_along(image: Image, points: Array, edges: NDArray[np.int64], config: GapConfig | None = None) -> Array:
@@ -89,12 +90,13 @@ class GapWatch:
         self._places = [(place, which) for place, which in places if len(which)]
         brightness = _brightness(image)
         profiles = [_profiles(brightness, *self._lines(points, *where), self._config) for where in self._places]
-        self._darkest = [_darkest(profile) for profile in profiles]
         before = np.full(len(edges), np.nan) if darkest_before is None else darkest_before
-        self._darkest_drawn: list[Array | None] = []
-        for (_, which), darkest in zip(self._places, self._darkest, strict=True):
-            known = bool(np.isfinite(before[which]).any())
-            self._darkest_drawn.append(np.fmax(darkest, before[which]) if known else None)
+        self._dark: list[Array] = []
+        self._dark_drawn: list[Array | None] = []
+        for (_, which), darkest in zip(self._places, map(_darkest, profiles), strict=True):
+            dark, drawn = (_dark(known, self._config) for known in (darkest, np.fmax(darkest, before[which])))
+            self._dark.append(dark)
+            self._dark_drawn.append(drawn if (drawn > dark).any() else None)
         # A highlight on one end is not how bright the tissue is there: its neighbours have a say.
         self._levels = [_running_median(profile.level, LEVEL_WINDOW) for profile in profiles]
         self._last = np.full((3, len(edges)), np.nan)
@@ -110,12 +112,14 @@ class GapWatch:
         free: NDArray[np.bool_] = np.asarray(seen[self._edges].all(axis=1))
         if hidden is not None:
             free &= ~_pass_under(hidden, points[self._edges])
-        kept = zip(self._places, self._darkest, self._darkest_drawn, self._levels, strict=True)
-        for (place, which), darkest, drawn, level in kept:
+        kept = zip(self._places, self._dark, self._dark_drawn, self._levels, strict=True)
+        for (place, which), dark, drawn, level in kept:
             profiles = _profiles(brightness, *self._lines(points, place, which), self._config)
             least = STILL_AS_BRIGHT * level * _typical(profiles.level / np.maximum(level, 1.0))
-            parted, bed = _openings(profiles, self._config, darkest, least)
-            slit = parted if drawn is None else _openings(profiles, self._config, drawn, least)[0]
+            # What has parted may be a groove, with cut faces to both sides and what is left of the tissue as its floor; the bed is seen
+            # only through an opening.
+            parted, bed = (_width_below(share, profiles, least) for share in (dark, self._config.bed))
+            slit = parted if drawn is None else _width_below(drawn, profiles, least)
             now[:, which] = np.minimum(now[:, which], (parted, bed, slit))
             if place == 0.0 and which is self._crossing:
                 self._look_between(brightness, points, profiles, least, free[which])
@@ -219,27 +223,24 @@ def _median_of_first(rows: NDArray[np.float32], count: NDArray[np.int64]) -> Arr
     return np.asarray((ordered[rank, (count - 1) // 2] + ordered[rank, count // 2]) / 2.0, dtype=np.float64)
 
 
-def _openings(
-    profiles: _Profiles, config: GapConfig, darkest_before: Array | None, least_level: Array | None
-) -> tuple[Array, Array]:
-    """Widths (E,) [px] of the longest run that is darker than tissue, and of the longest as dark as the bed.
+def _dark(darkest_before: Array, config: GapConfig) -> Array:
+    """Share (E,) of the tissue's brightness below which a place on each edge is dark, given its darkest one before (nan: not known)."""
+    known = np.nan_to_num(darkest_before, nan=0.0)
+    return np.maximum(config.dark, np.minimum(config.faint, config.fainter * known))
 
-    What has parted may be a groove, with cut faces to both sides and what is left of the tissue as its floor; the bed is seen only through
-    an opening.
+
+def _width_below(share: Array | float, profiles: _Profiles, least_level: Array | None) -> Array:
+    """Width (E,) [px] of the longest run along each edge that is darker than a `share`, (E,) or one for all, of the tissue's brightness.
+
+    nan where an end is not on the image.
     """
     inside, rows = profiles.inside, profiles.rows
     level = profiles.level if least_level is None else np.fmax(profiles.level, least_level)
-    limit = np.full(len(inside), config.dark)
-    if darkest_before is not None:
-        known = np.nan_to_num(darkest_before, nan=0.0)
-        limit = np.maximum(limit, np.minimum(config.faint, config.fainter * known))
-    parted, bed = np.full(len(inside), np.nan), np.full(len(inside), np.nan)
+    width = np.full(len(inside), np.nan)
     if inside.any():
-        floor = np.maximum(level, 1.0)[inside, None]
-        pixels = profiles.length[inside] / rows.shape[1]
-        parted[inside] = _longest_run(rows < limit[inside, None] * floor) * pixels
-        bed[inside] = _longest_run(rows < config.bed * floor) * pixels
-    return parted, bed
+        limit = (share * np.maximum(level, 1.0))[inside, None]
+        width[inside] = _longest_run(rows < limit) * (profiles.length[inside] / rows.shape[1])
+    return width
 
 
 def _bed_place(profiles: _Profiles, level: Array, config: GapConfig) -> Array:
