@@ -51,16 +51,21 @@ def strands_between(
         return found
     rows = (np.arange(ROWS) + 0.5) / ROWS
     share = openings[:, :1] + rows * (openings[:, 1:] - openings[:, :1])
-    through = ends[:, None, 0] + share[..., None] * along[:, None]  # (C, ROWS, 2)
-    first, last = through[both], through[both + 1]
-    count = max(2, int(np.ceil(np.linalg.norm(last - first, axis=2).max() / SAMPLE)))
-    t = (np.arange(count) + 0.5) / count
-    at = (first[:, :, None] + t[:, None] * (last - first)[:, :, None]).astype(np.float32).reshape(len(both), -1, 2)
-    seen = cv2.remap(brightness, at[..., 0], at[..., 1], cv2.INTER_LINEAR).reshape(len(both), ROWS, count)
+    through = (ends[:, None, 0] + share[..., None] * along[:, None]).astype(np.float32)  # (C, ROWS, 2)
+    first, step = through[both], through[both + 1] - through[both]
+    count = max(2, int(np.ceil(np.linalg.norm(step, axis=2).max() / SAMPLE)))
+    t = ((np.arange(count) + 0.5) / count).astype(np.float32)
+    u, v = ((first[..., k, None] + t * step[..., k, None]).reshape(len(both), -1) for k in (0, 1))
+    seen = cv2.remap(brightness, u, v, cv2.INTER_LINEAR).reshape(len(both), ROWS, count)
     tissue = np.minimum(level[both], level[both + 1])
     bed = np.maximum(np.median(seen[:, :, 0], axis=1), np.median(seen[:, :, -1], axis=1))
     limit = bed + config.bright * np.maximum(tissue - bed, 0.0)
-    found[both] = ~_passable(np.asarray(seen <= limit[:, None, None]))
+    dark = np.asarray(seen <= limit[:, None, None])
+    # Mostly a straight way is free, and no other need be looked for.
+    straight: NDArray[np.bool_] = np.asarray(dark.all(axis=2))
+    winding = np.flatnonzero(~straight.any(axis=1))
+    found[both] = 0.0
+    found[both[winding]] = ~_passable(dark[winding])
     return found
 
 
