@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,9 +53,9 @@ class Path:
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         return Path(points, across, pixels, arc)
 
-    def part(self, less: float) -> Path:
-        """The path without the share `less` of its samples at either end; as many samples."""
-        index = np.linspace(less, 1.0 - less, len(self.points)) * (len(self.points) - 1)
+    def part(self, begin: float, end: float) -> Path:
+        """The path from the share `begin` to the share `end` of its samples; as many samples."""
+        index = np.linspace(begin, end, len(self.points)) * (len(self.points) - 1)
 
         def read(values: Array) -> Array:
             return np.column_stack([np.interp(index, np.arange(len(values)), values[:, i]) for i in range(values.shape[1])])
@@ -109,12 +109,36 @@ def on_tissue(goal: TrackedGoal, depth: DepthMap, camera: CameraModel, segment: 
     Where a cut has opened, the rows are the rims of a hole and one of them may be lifted high: the middle between them is thin air, and
     the plane through them no surface. What still holds the two together is right beside the segment. None where too little of it is seen.
     """
+    around = _around(goal, segment)
+    own, wide = (_on_sides(goal, depth, camera, part, tissue) for part in (segment, around))
+    if own is None or wide is None:
+        return own
+    # Where the surface lies is told by the segment's own tissue, how it is tilted by what is around: over a few pixels noise tilts it.
+    steady = wide.part(*_shares(segment, around))
+    middle = len(own.points) // 2
+    return replace(steady, points=steady.points + own.points[middle] - steady.points[middle])
+
+
+def _around(goal: TrackedGoal, segment: Array) -> Array:
+    """The `segment` (2, 2) in goal coordinates, longer at both ends until it is `SUPPORT` pixels long, but not past the goal's ends."""
     length = _length(from_goal_coordinates(goal, np.linspace(segment[0], segment[1], PLACES)))
     beyond = max(0.0, SUPPORT / max(length, 1.0) - 1.0) / 2.0  # of the segment, at either end
-    step = beyond * (segment[1] - segment[0])
-    pixels, near, far = _beside(goal, depth, camera, segment + np.array([-step, step]), tissue)
-    path = _path((near + far) / 2.0, near - far, pixels, 1)
-    return None if path is None else path.part(beyond / (1.0 + 2.0 * beyond))
+    along = segment[1] - segment[0]
+    room = np.where(along[0] > 0.0, [segment[0, 0], 1.0 - segment[1, 0]], [1.0 - segment[0, 0], segment[1, 0]])
+    before, after = np.clip(np.maximum(room, 0.0) / max(abs(along[0]), 1e-9), 0.0, beyond)
+    return np.asarray(np.array([segment[0] - before * along, segment[1] + after * along]))
+
+
+def _shares(segment: Array, around: Array) -> tuple[float, float]:
+    """Where a `segment` begins and ends within the longer one `around` it on the same line, as shares of that."""
+    along = around[1] - around[0]
+    begin, end = ((segment - around[0]) @ along) / max(float(along @ along), 1e-18)
+    return float(begin), float(end)
+
+
+def _on_sides(goal: TrackedGoal, depth: DepthMap, camera: CameraModel, segment: Array, tissue: NDArray[np.bool_]) -> Path | None:
+    pixels, near, far = _beside(goal, depth, camera, segment, tissue)
+    return _path((near + far) / 2.0, near - far, pixels, 1)
 
 
 def held_part(goal: TrackedGoal, depth: DepthMap, camera: CameraModel, segment: Array, tissue: NDArray[np.bool_]) -> Array:

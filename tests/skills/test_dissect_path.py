@@ -67,7 +67,7 @@ def test_a_part_of_a_path_keeps_its_course():
     points = np.column_stack([x, np.zeros(25), np.full(25, SURFACE)])
     whole = Path(points, np.tile([0.0, -1.0, 0.0], (25, 1)), np.column_stack([x * 1e4, x]), x)
 
-    part = whole.part(0.25)
+    part = whole.part(0.25, 0.75)
 
     assert len(part.points) == 25
     assert part.points[[0, -1], 0] == pytest.approx([0.01, 0.03])
