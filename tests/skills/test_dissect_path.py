@@ -62,6 +62,28 @@ def test_a_few_wrong_depths_hardly_tilt_the_normal_of_a_short_segment():
     assert path.length == pytest.approx(12.0 * SURFACE / CAMERA.focal, rel=0.1)
 
 
+def test_what_lies_past_the_goals_end_does_not_bend_its_last_segment():
+    depth = np.full((480, 640), SURFACE)
+    depth[:, 446:] += np.linspace(0.0, 6e-3, 194)  # whole tissue, that is bent towards what still holds
+    last = np.array([[0.95, 0.0], [1.0, 0.0]])
+
+    path = on_tissue(goal(), DepthMap(0.0, depth, 1.0), CAMERA, last, scene()[1])
+
+    assert path is not None
+    assert path.points[:, 2] == pytest.approx(np.full(25, SURFACE), abs=0.05e-3)
+
+
+def test_a_web_that_hangs_lower_than_what_is_around_is_cut_where_it_hangs():
+    depth = np.full((480, 640), SURFACE)
+    depth[:, 390:412] += 2e-3
+    web = (np.array([[394.0], [408.0]]) - 200.0) / 240.0 * np.array([1.0, 0.0])
+
+    path = on_tissue(goal(), DepthMap(0.0, depth, 1.0), CAMERA, web, scene()[1])
+
+    assert path is not None
+    assert path.points[12, 2] == pytest.approx(SURFACE + 2e-3, abs=0.3e-3)
+
+
 def test_a_part_of_a_path_keeps_its_course():
     x = np.linspace(0.0, 0.04, 25)
     points = np.column_stack([x, np.zeros(25), np.full(25, SURFACE)])
