@@ -53,6 +53,9 @@ class Opening:
     def __init__(self, looks: int) -> None:
         self._width = 0.1 * looks
 
+    def slit(self) -> Array:
+        return self.parted()
+
     def stranded(self) -> NDArray[np.bool_]:
         return np.zeros(len(GRID.edges), dtype=bool)
 
