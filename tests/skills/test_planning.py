@@ -231,42 +231,54 @@ def test_a_corrective_segment_that_stays_hidden_is_not_cut():
     assert outcome.snips == ()
 
 
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_a_hidden_segment_is_left_out_and_the_other_one_cut(order, monkeypatch):
-    table, cutting = Table(), agent()
-    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
-    whole = goal()
-    segments = np.array([[[200.0, 240.0], [270.0, 240.0]], [[370.0, 240.0], [440.0, 240.0]]])
+SEGMENTS = np.array([[[200.0, 240.0], [270.0, 240.0]], [[370.0, 240.0], [440.0, 240.0]]])
 
-    def snip(*_):
+
+def cutting_anything(table: Table, monkeypatch: pytest.MonkeyPatch) -> tuple[PlanningAgent, list[str]]:
+    """An agent whose snips succeed wherever they are made, and what it did."""
+    cutting, done = agent(), []
+    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+
+    def snip(lease, frame, mouth, doing):
         yield from ()
+        done.append(doing)
         return MoveReport(MoveStatus.DONE), table.bench.cutter.pose
 
     monkeypatch.setattr(cutting, "_snip", snip)
     monkeypatch.setattr(cutting, "_lift", lambda *_: straight_path())
-    outcome = table.finish(
-        cutting.run(
-            table.lease, lambda: replace(whole, stamp=table.bench.now(), visible=np.arange(12) >= 6), segments[list(order)]
-        )
-    )
+    return cutting, done
+
+
+@pytest.mark.parametrize(("order", "hidden", "seen"), [((0, 1), 1, 2), ((1, 0), 2, 1)])
+def test_a_hidden_segment_is_left_out_and_the_other_one_cut(order, hidden, seen, monkeypatch):
+    table = Table()
+    cutting, done = cutting_anything(table, monkeypatch)
+    whole = goal()
+
+    def tracked() -> TrackedGoal:
+        return replace(whole, stamp=table.bench.now(), visible=np.arange(12) >= 6)
+
+    outcome = table.finish(cutting.run(table.lease, tracked, SEGMENTS[list(order)]))
 
     assert outcome.code is Code.OK
-    assert "1 of 2 segments not finished: the goal along segment" in outcome.message
-    assert len(outcome.snips) > 0
-    assert {snip.message for snip in outcome.snips} == {""}
+    assert f"1 of 2 segments not finished: the goal along segment {hidden} of 2 was hidden" in outcome.message
+    assert len(outcome.snips) == len(done) > 0
+    assert all(doing.startswith(f"segment {seen} of 2") for doing in done)
 
 
-def test_a_goal_that_is_lost_ends_the_cut_of_all_segments():
-    table, cutting = Table(), agent()
-    cutting.grasped = Grasped(table.bench.grasper.pose, np.array([0.0, 0.0, -1.0]))
+def test_a_goal_that_is_lost_ends_the_cut_though_some_of_it_is_made(monkeypatch):
+    table = Table()
+    cutting, done = cutting_anything(table, monkeypatch)
     whole = goal()
-    answers = iter([whole])
-    segments = np.array([[[200.0, 240.0], [270.0, 240.0]], [[370.0, 240.0], [440.0, 240.0]]])
 
-    outcome = table.finish(cutting.run(table.lease, lambda: next(answers, None), segments))
+    def tracked() -> TrackedGoal:
+        return replace(whole, stamp=table.bench.now(), lost=any(doing.startswith("segment 1") for doing in done))
+
+    outcome = table.finish(cutting.run(table.lease, tracked, SEGMENTS))
 
     assert outcome.code is Code.GOAL_LOST
     assert outcome.message == "the goal was lost from sight while cutting"
+    assert len(outcome.snips) == 1
 
 
 def test_the_scissors_make_way_for_a_look_at_a_hidden_segment():
