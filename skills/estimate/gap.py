@@ -2,7 +2,7 @@
 
 Seen at full resolution, a slit of two pixels counts; a mask of the whole picture is made coarser and loses it. A slit is shallow at first
 and its cut faces are lit, so it is only a little darker than the tissue; vessels and prints are that dark too, but they were there at
-t_d already. So the reference picture tells how dark an edge may be.
+t_d already. So the reference picture tells how dark an edge may be; the one that the goal was drawn on, whether that was a vessel or a cut.
 """
 
 from __future__ import annotations

@@ -80,9 +80,9 @@ class Evidence:
 
     `parted` and `bed` [px] are the widest opening seen along it since t_d and the bed seen through it, `excess` how much wider it opened
     there than a severed edge would have by now, as a log ratio between -1 and 1 (0 where nothing opened or was expected); `slit` and
-    `slit_excess` are the same of the widest opening since the goal was drawn; `length` the mean over the
-    looks of the log-likelihood ratio of its length (above 0: severed), each weighing as many as its step, `ratio` the elongation when
-    both ends were last seen, `seen` whether that was lately (across the goal), and often enough.
+    `slit_excess` are the same of the widest opening since the goal was drawn; `length` the mean over the looks of the log-likelihood
+    ratio of its length (above 0: severed), each weighing as many as its step, `ratio` the elongation when both ends were last seen,
+    `seen` whether that was lately (across the goal), and often enough.
     """
 
     parted: Array

@@ -62,7 +62,7 @@ class GoalTracker:
         towards_grasp = side_of(goal.polyline, goal.grasp) * left_normals(line)
         near, far = line + c.row_offset * towards_grasp, line - c.row_offset * towards_grasp
         self._grid, self._gaps = None, None
-        self._drawn_on = _darkest_across(frame.image, near, far)
+        self._darkest_drawn = _darkest_across(frame.image, near, far)
         self._begin(frame, near, far, goal.grasp, np.zeros((0, 2)), np.zeros(0, dtype=bool))
         tracked = self._read()
         self._lost_for, self._known = 0, {} if tracked.lost else {"drawn": (frame.image, tracked)}
@@ -107,7 +107,7 @@ class GoalTracker:
         if not tracked.lost:
             self._known["reference"] = frame.image, tracked
         grid, between = self._grid, self.config.between
-        self._gaps = GapWatch(frame.image, grid.points, grid.edges, grid.crosses_goal, between, self._drawn_dark(grid))
+        self._gaps = GapWatch(frame.image, grid.points, grid.edges, grid.crosses_goal, between, self._darkest_before(grid))
         self._neighbours = neighbours(self._grid.points, self._grid.near_side)
         self._placed = self._grid_part().visible
         self._read()
@@ -217,13 +217,13 @@ class GoalTracker:
             )
         return points
 
-    def _drawn_dark(self, grid: Grid) -> Array:
+    def _darkest_before(self, grid: Grid) -> Array:
         """How bright (E,) the darkest place around each edge across the goal was when that was drawn (`darkest_along`); nan elsewhere."""
-        stations = np.linspace(0.0, 1.0, len(self._drawn_on))
+        stations = np.linspace(0.0, 1.0, len(self._darkest_drawn))
         reach = ASTRAY / (len(self._laid[0]) - 1)
         near = np.abs(grid.station[:, None] - stations) <= reach
         # Where a vessel may have come from is not known to have been free of one.
-        return np.where(grid.crosses_goal, np.where(near, self._drawn_on, np.inf).min(axis=1), np.nan)
+        return np.where(grid.crosses_goal, np.where(near, self._darkest_drawn, np.inf).min(axis=1), np.nan)
 
     def _require_started(self) -> TrackedGoal:
         if self._tracked is None:
